@@ -62,7 +62,7 @@ def test_a_log_has_no_sample_where_the_bus_says_that_a_gate_is_shut(gated, g80, 
     assert np.array_equal(with_gate.missing[sure], shut[sure])
     assert with_gate.y.shape == known.y.shape
     path = table(tmp_path, t=drive.t, v=drive.v, delta=drive.u[:, 0], r=drive.y[:, 0], ay=0 * drive.t)
-    with pytest.raises(InputError, match="holds no gate signal, which the bus needs"):
+    with pytest.raises(InputError, match="holds no gate signals, but the bus needs them"):
         bus_frames(path, gated)
 
 

@@ -113,7 +113,7 @@ def test_the_reason_names_how_far_the_digits_move_the_optimum_and_what_is_known(
     monkeypatch.setattr(hinf, "_moved_optimum", lambda *_: 0.5)
     answer = solve_problem(problem(plant))
     assert answer["status"] == "error"
-    assert "the last digits of the data decide on the optimum" in answer["error"]
+    assert "the optimum depends on the last digits of the data" in answer["error"]
     assert "a relative change of 1e-14 of the entries moves it by 0.5 of itself" in answer["error"]
     assert "known is " in answer["error"] and "<= optimum <=" in answer["error"]
 

@@ -42,7 +42,7 @@ def test_a_floor_lifts_what_is_below_it_and_a_value_at_the_floor_stays():
     ("omega", "bound", "floor", "words"),
     [
         ([1.0, 2.0], [1.0, 2e60], None, "a range of at most 1e\\+60"),
-        ([1.0, 2.0], [1.0, 0.0], None, "bound at 2 rad/s: is 0, and no weight"),
+        ([1.0, 2.0], [1.0, 0.0], None, "bound at 2 rad/s: is 0, but no weight"),
         ([0.0, 2.0], [1.0, 1.0], None, "omega\\[0\\]"),
         ([1.0, 1.0], [1.0, 1.0], None, "omega\\[1\\].*strictly increasing"),
         ([1.0, 2.0, 1.5], [1.0, 1.0, 1.0], None, "omega\\[2\\].*strictly increasing"),

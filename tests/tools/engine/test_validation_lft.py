@@ -583,5 +583,5 @@ def test_delta_is_verified_before_it_is_returned():
         dl.verify(problem.blocks, problem.matrices, problem.e, s.w, s.xi, 0.9 * s.nu)
     with pytest.raises(InputError, match="re-simulated"):
         dl.verify(problem.blocks, problem.matrices, problem.e, s.w, 1.1 * s.xi, 2 * s.nu)
-    with pytest.raises(InputError, match="input to the block"):
+    with pytest.raises(InputError, match="an eta that is not zero"):
         dl.construct(Block("full", 1, 1), np.ones(1), np.zeros(1))

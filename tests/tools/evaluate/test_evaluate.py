@@ -478,7 +478,7 @@ def test_nothing_to_evaluate_is_an_error_that_says_what_is_missing(identified, s
     stored = identify.load(identified)
     frameless = replace(stored, calibration=replace(stored.calibration, scores={}))
     drives = identify.DriveSet(g80, NominalModel(g80), synthetic)
-    with pytest.raises(InputError, match=r"no frame counts in a drive that calibrates.*split is not train"):
+    with pytest.raises(InputError, match=r"no calibration drive has a counted frame.*split is not train"):
         stage.evaluate(frameless, drives, core, settings=ONE_WAY)
 
 

@@ -183,9 +183,7 @@ def test_the_table_counts_what_was_found(g80):
     assert first[:7] == ["step: output × 0.6", "gain", "5", "2", "1", "1", "1"]
     assert known[2] == "5" and single[2] == "1"
     assert cause_sentences(table)[0].startswith("right cause: 2 of 5, 5.27 to 85.34 %")
-    large = (
-        "of those larger than the difference of healthy vehicles: right 2 of 5, 5.27 to 85.34 %, wrong 1 of 5"
-    )
-    assert cause_sentences(table)[2].startswith(large)
+    large = "of the faults larger than the difference between healthy vehicles: right 2 of 5, 5.27 to 85.34 %"
+    assert cause_sentences(table)[2].startswith(f"{large}, wrong 1 of 5")
     unknown = cause_table(outcomes, g80, None)
-    assert unknown["can_be_named"] is None and "is not known" in cause_sentences(unknown)[2]
+    assert unknown["can_be_named"] is None and "is unknown" in cause_sentences(unknown)[2]

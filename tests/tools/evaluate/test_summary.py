@@ -20,7 +20,7 @@ def test_alarms_an_hour_stand_first_and_the_best_baseline_last(evaluation):
     lines = summary(evaluation)
     assert len(lines) <= 10
     assert lines[0] == (
-        "alarms without a fault: at most 2.05 an hour judged are promised, 1.87 measured "
+        "alarms without a fault: promised at most 2.05 per judged hour, 1.87 measured "
         "(95 %: 0.047 to 10.4); 1 of 11 drives alarm in 0.536 h"
     )
     assert "70 of 70 starts found within 30 s" in lines[1] and lines[2].startswith(
@@ -44,7 +44,7 @@ def test_what_is_missed_partly_found_or_without_a_drive_has_a_line_each(evaluati
     evaluation["stated_rates"]["monitor"] = None
     evaluation["duels"] = []
     lines = summary(evaluation)
-    assert "nothing is promised, too few drives calibrate, 1.87 measured" in lines[0]
+    assert "no rate is promised, because too few drives calibrate, 1.87 measured" in lines[0]
     assert lines[-1] == "no baseline: too few drives calibrate one"
 
 

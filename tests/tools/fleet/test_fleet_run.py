@@ -184,7 +184,7 @@ def test_bad_input_is_one_error_and_leaves_the_state(lpvguard, synthetic, tables
         return done.stderr
 
     assert "--calibration: not given" in refused()
-    assert "the state has a set" in refused(*with_state, *calibrated)
+    assert "--state has a set" in refused(*with_state, *calibrated)
     assert "terms.alpha" in refused(*with_state, "--alpha", "0.01")
     assert "column day" in refused(*with_state, "--order", "day")
     assert "judged_s: 0" in refused("--judged-s", "0", *calibrated)

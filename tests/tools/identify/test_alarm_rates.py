@@ -122,4 +122,4 @@ def test_the_first_line_of_an_evaluation_states_the_rate():
     example = resources.files("lpvguard.schemas").joinpath("examples", "evaluate.json")
     evaluation = json.loads(example.read_text(encoding="utf-8"))
     evaluation["rate"] = {"per_1000_h": 1.0, "extrapolated_from_h": 0.5}
-    assert "1 per 1000 h judged are promised, extrapolated from 0.5 hours" in summary(evaluation)[0]
+    assert "promised 1 per 1000 judged hours, extrapolated from 0.5 hours" in summary(evaluation)[0]

@@ -148,7 +148,7 @@ def test_a_set_comes_with_a_weight_above_its_radius():
         (lambda: robust.musyn(control.ss([], [], [], np.eye(3)), 1, 1, SCALARS), "blocks: 2 x 2 in total"),
         (lambda: robust.musyn(control.ss([], [], [], np.eye(3)), 1, 1, SCALARS[:1], degree=-1), "degree: -1"),
         (lambda: robust.disk_margin(control.ss([0.5], [1], [1], [0], True)), "without a sampling time"),
-        (lambda: robust.overbound([2, 1], [1, 1]), "rising, finite frequencies"),
+        (lambda: robust.overbound([2, 1], [1, 1]), "increasing, finite frequencies"),
         (lambda: robust.uncertainty_set([1], np.ones((1, 1, 1)), np.ones((1, 1, 1, 1)), "polar"), "'polar'"),
         (
             lambda: robust.uncertainty_set([1], np.ones((2, 1, 1)), np.ones((1, 1, 1, 1)), "additive"),
@@ -160,7 +160,7 @@ def test_a_set_comes_with_a_weight_above_its_radius():
         ),
         (
             lambda: robust.uncertainty_set([1], [[[1], [0]]], [[[[1], [1]]]], "multiplicative_input"),
-            "no E of the form G = G0 (I + E) gives it",
+            "no E of the form G = G0 (I + E) reproduces it",
         ),
     ],
 )

@@ -122,7 +122,7 @@ def test_expressions_know_abs_min_max_and_sqrt(expression, value):
 @pytest.mark.parametrize(
     ("expression", "says"),
     [
-        ("sqrt(v - 6)", "'sqrt\\(v - 6\\)' of a negative number"),
+        ("sqrt(v - 6)", "'sqrt\\(v - 6\\)' has a negative argument"),
         ("sqrt(v, 2)", "expected one value"),
         ("min(v)", "expected two values or more"),
         ("exp(v)", "cannot use 'exp\\(v\\)'.*abs, min, max, sqrt"),

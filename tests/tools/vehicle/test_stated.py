@@ -47,7 +47,8 @@ def test_the_first_other_setting_is_named_with_both_values(path, value, old, new
     with pytest.raises(InputError) as refused:
         require_settings(changed(path, value), "a folder", load_project("truck"), "truck")
     assert str(refused.value) == (
-        f"{path}: {old} in a folder, {new} in truck; expected its own settings, or a new result with these"
+        f"{path}: {old} in a folder, {new} in truck; expected the settings of the result, "
+        "or a new result with the project's settings"
     )
 
 

@@ -1,7 +1,7 @@
-"""The Python interface: the verbs of the command line as functions that return tables and objects.
+"""The Python interface: the commands of the command line as functions that return tables and objects.
 
-In: vehicles, folders and files, samples. Out: tables (pandas), objects of python-control, verdicts sample by
-sample. It computes nothing itself.
+In: vehicles, folders, files and samples. Out: tables (pandas), objects of python-control, and a verdict for
+each sample. Other packages do all computations.
 """
 
 MAY_IMPORT = ("base", "vehicle", "drives", "core", "identify", "control", "replay", "report")

@@ -1,4 +1,4 @@
-"""A recorded drive through the compiled core, as tables."""
+"""Replay a recorded drive through the compiled core and return tables."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Replayed:
-    """Answers of the core along a drive.
+    """Results of the core along a drive.
 
     Attributes
     ----------
@@ -52,13 +52,13 @@ class Replayed:
 
     @cached_property
     def series(self) -> pandas.DataFrame:
-        """Time series, a row a sample. Needs pandas."""
+        """Time series with one row per sample. Needs pandas."""
         optional("pandas", "pandas")
         return self.arrow.to_pandas()
 
     @cached_property
     def frames(self) -> pandas.DataFrame:
-        """Table of the judged frames, in the order of judgement. Needs pandas.
+        """Table of the judged frames in the order of judgement. Needs pandas.
 
         The times t_end_s and t_judged_s are seconds after the first sample. The margin is t*. The evidence
         is the margin of a vehicle that does not respond. The reason "none" means that the frame counted. The
@@ -80,7 +80,7 @@ class Replayed:
         )
 
     def save(self, path: str | Path) -> None:
-        """Write the time series by the suffix: .parquet, .mcap or .mf4 (replay/recordings.py).
+        """Write the time series to a file; its suffix .parquet, .mcap or .mf4 sets the format.
 
         Parameters
         ----------
@@ -89,7 +89,7 @@ class Replayed:
         Raises
         ------
         InputError
-            If the suffix is another one, or its package is not installed.
+            If the suffix is unknown, or the package for the format is not installed.
         """
         kind = next((k for k, suffix in SUFFIX.items() if Path(path).suffix.lower() == suffix), None)
         if kind is None:
@@ -100,7 +100,7 @@ class Replayed:
         write_series(Path(path), kind, self.arrow, alarms, self.replayer.project.name)
 
     def save_mat(self, path: str | Path) -> None:
-        """Write the time series as MATLAB variables.
+        """Write the time series as variables of a MATLAB file.
 
         Slashes and points of names become underscores, and missing values become NaN.
 
@@ -111,7 +111,7 @@ class Replayed:
         columns = {
             name.replace("/", "_").replace(".", "_"): column.to_numpy()
             for name, column in zip(self.arrow.column_names, self.arrow.columns, strict=True)
-            if name != "verdict"  # verdict_code has its number
+            if name != "verdict"  # the column verdict_code has its number
         }
         savemat(path, columns)
 
@@ -130,7 +130,7 @@ def replay_drive(
     vehicle : str, Path or Project, shipped vehicle's name, path of a project file, or a project
     log : str or Path
     coefficients : str or Path, optional, folder of `lpvguard export`, by default the shipped one
-    channel : str, optional, of a raw log with several
+    channel : str, optional, CAN channel, for a raw log with several channels
 
     Returns
     -------
@@ -139,7 +139,7 @@ def replay_drive(
     Raises
     ------
     InputError
-        If an input does not fit; it names file, place and what was expected.
+        If an input does not fit; the error names file, place and what was expected.
     """
     replayer = open_core(vehicle, coefficients)
     recorded = replayer.read_file(Path(log), channel)
@@ -179,7 +179,7 @@ def open_core(vehicle: str | Path | Project, coefficients: str | Path | None) ->
     Raises
     ------
     InputError
-        If it was made with other settings than the project's.
+        If the core was made with settings that differ from the project's.
     """
     project = project_of(vehicle)
     called = vehicle if not isinstance(vehicle, Project) else f"vehicle {project.name}"

@@ -1,4 +1,4 @@
-"""An identification as tables and objects."""
+"""Run or load an identification and return tables and objects."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 
 def project_of(vehicle: str | Path | Project) -> Project:
-    """Return the project of a shipped vehicle, of a path, or the given one.
+    """Return the project of a shipped vehicle or of a path, or the given project.
 
     Parameters
     ----------
@@ -37,7 +37,7 @@ def project_of(vehicle: str | Path | Project) -> Project:
     Raises
     ------
     InputError
-        If it is none of these.
+        If the argument is none of these.
     """
     return vehicle if isinstance(vehicle, Project) else load_project(vehicle)
 
@@ -65,19 +65,19 @@ class Identified:
 
     @property
     def bounds(self) -> pandas.DataFrame:
-        """Table of the bounds, a row a bin, indexed by its frequency [rad/s]. Needs pandas.
+        """Table of the bounds with one row per bin; the index is the frequency [rad/s]. Needs pandas.
 
-        Columns: frames (number that counted), excitation (largest nominal output), gamma_w, nu (one a Delta)
-        and B_w (one an output), in the outputs' units. NaN means no data.
+        Columns: frames (number of counted frames), excitation (largest nominal output), gamma_w, nu (one per
+        Delta) and B_w (one per output), in the outputs' units. NaN means no data.
         """
         columns = {k: self._bounds[k] for k in ("frames", "excitation", "gamma_w", "nu", "B_w")}
         return self._table(columns | {"frames": columns["frames"].astype(int)})
 
     @property
     def weights(self) -> pandas.DataFrame:
-        """Table of the frame test's W_delta and B_w with final inflation, a row a bin [rad/s]. Needs pandas.
+        """Table of the frame test's W_delta and B_w with final inflation, one row per bin. Needs pandas.
 
-        They are the healthy set, or without one the certificate's.
+        They belong to the healthy set, or to the certificate's set if there is no healthy set.
         """
         return self._table(dict(zip(("W_delta", "B_w"), self.fitted.of_frames(self.omega), strict=True)))
 
@@ -88,11 +88,11 @@ class Identified:
 
     @property
     def claim(self) -> str:
-        """Sentence on the threshold's promise, or on why there is none."""
+        """Sentence on what the threshold promises, or on why it promises nothing."""
         return self.calibration.claim()
 
     def save(self, folder: str | Path) -> Identified:
-        """Write the folder of `lpvguard identify`, whole or not at all.
+        """Write the folder of `lpvguard identify` as a whole; an error leaves no part of it.
 
         Parameters
         ----------
@@ -108,7 +108,7 @@ class Identified:
             If the folder may not be replaced.
         """
         if self._found is None:
-            raise ValueError(f"it is stored in {self.folder} already")
+            raise ValueError(f"it is already stored in {self.folder}")
         stage.save(*self._found, Path(folder))
         return load(folder)
 
@@ -122,7 +122,8 @@ class Identified:
         folder : str or Path
         controller : str or Path, optional, controller.json or the folder of `design`
             Its certificates are proved again.
-        group : str, optional, group whose thresholds the core carries, by default the largest of all
+        group : str, optional, group of drives whose thresholds are exported, by default the largest of all
+        groups
 
         Returns
         -------
@@ -140,7 +141,7 @@ class Identified:
 
     @contextmanager
     def opened(self) -> Iterator[stage.StoredIdentification]:
-        """Open the stored folder, or a temporary one, with every weight proved again above its bound.
+        """Open the stored or a temporary folder and prove again that every weight lies above its bound.
 
         Yields
         ------
@@ -198,7 +199,7 @@ def identify_drives(
 
 
 def load(folder: str | Path) -> Identified:
-    """Read the folder of `lpvguard identify`; every weight is proved again above its bound.
+    """Read the folder of `lpvguard identify` and prove again that every weight lies above its bound.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Model, weights and controller as objects of python-control, which this module needs."""
+"""Model, weights and controller as objects of python-control. The module needs this package."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ if TYPE_CHECKING:
 
 
 def nominal(vehicle: str | Path | Project, speed_mps: float) -> control.StateSpace:
-    """Return the nominal model at a constant speed, in discrete time with its delay.
+    """Return the nominal model at a constant speed as a discrete-time system with its delay.
 
-    It leads from inputs to outputs in the units of the signal table, without offsets.
+    Its inputs and outputs have the units of the signal table, without offsets.
 
     Parameters
     ----------
@@ -42,7 +42,7 @@ def nominal(vehicle: str | Path | Project, speed_mps: float) -> control.StateSpa
     model.require_speed(speed_mps)
     step = model.discretise(np.array([speed_mps]))
     n, m, held = model.n, model.n_u, model.delay + 1
-    # After the model's states come the inputs of the last delay + 1 samples, the newest first.
+    # The states are the model's states, then the inputs of the last delay + 1 samples, newest first.
     A = np.zeros((n + held * m, n + held * m))
     B = np.zeros((n + held * m, m))
     A[:n, :n] = step.Ad[0]
@@ -67,7 +67,7 @@ def weights(identified: Identified) -> dict[str, list[control.TransferFunction]]
 
     Returns
     -------
-    dict of list of TransferFunction, W_delta one a Delta, W_w one an output
+    dict of list of TransferFunction, W_delta one per Delta, W_w one per output
     """
     scale, tf = identified.fitted.inflation, _control().tf
     return {
@@ -77,9 +77,9 @@ def weights(identified: Identified) -> dict[str, list[control.TransferFunction]]
 
 
 def controller(path: str | Path, speed_mps: float) -> control.StateSpace:
-    """Return the controller of a controller.json at a constant speed, in discrete time, as the core runs it.
+    """Return the controller of a controller.json at a constant speed in discrete time, as in the core.
 
-    It leads from reference and outputs to the demands.
+    Its inputs are reference and measured outputs, and its outputs are the demands.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""The compiled monitor, fed sample by sample."""
+"""Run the compiled monitor sample by sample."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,13 +17,13 @@ class JudgedFrame:
 
     Attributes
     ----------
-    t_end_s : float, s, its last sample
-    omega_rad_s : float, rad/s, of its bin
+    t_end_s : float, s, time of its last sample
+    omega_rad_s : float, rad/s, frequency of its bin
     speed_mps : float, m/s, mean speed
     margin : float, t*
-    reason : str, why it did not count, "none" if it did
-    falsified : bool, it alarms: beyond the healthy set
-    refuted : bool, it refutes the certificate's set, too
+    reason : str, why the frame did not count, "none" if it counted
+    falsified : bool, the frame is outside the healthy set and raises an alarm
+    refuted : bool, the frame also refutes the certificate's set
     """
 
     t_end_s: float
@@ -37,7 +37,7 @@ class JudgedFrame:
 
 @dataclass(frozen=True)
 class Said:
-    """Answer of the core to a sample.
+    """Result of the core for one sample.
 
     Attributes
     ----------
@@ -67,7 +67,7 @@ class Monitor:
     Raises
     ------
     InputError
-        If both do not belong together.
+        If vehicle and coefficients do not belong together.
     """
 
     def __init__(self, vehicle: str | Path | Project, coefficients: str | Path | None = None):
@@ -75,7 +75,7 @@ class Monitor:
         self.reset()
 
     def reset(self) -> None:
-        """Forget every sample."""
+        """Reset the monitor to its initial state."""
         self._running = self._replayer.core.monitor()
 
     @property
@@ -84,7 +84,7 @@ class Monitor:
         return self._replayer.project.Ts_s
 
     def push(self, t: float, v: float, u: ArrayLike, y: ArrayLike) -> Said:
-        """Push a sample.
+        """Process one sample.
 
         A value that the core refuses is no error: ``status`` reports it, as on the ECU.
 

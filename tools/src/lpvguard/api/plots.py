@@ -1,10 +1,10 @@
-"""The pictures of the report page for notebooks.
+"""Draw the pictures of the report page in notebooks.
 
     from lpvguard import plots
     plots.weights(found)                     # of lpvguard.identify or lpvguard.load
     plots.margins(run).save("margins.csv")   # of lpvguard.replay; .svg or .csv
 
-Every picture is drawn by the functions that draw the page.
+The same functions draw the pictures of the page.
 """
 
 import csv
@@ -33,12 +33,12 @@ from .drive_replay import Replayed
 from .identification import Identified
 
 ROW_PX, AROUND_PX = 31, 250
-"""Height of a row of the map, and of its frame [px]."""
+"""Height of a row of the map, and of the map's frame [px]."""
 
 
 @dataclass(frozen=True)
 class BlindMap:
-    """Cells of speed and frequency, slowest speed first, and their picture as a page.
+    """Cells of speed and frequency, lowest speed first, and their picture as an HTML page.
 
     Attributes
     ----------
@@ -58,7 +58,7 @@ class BlindMap:
 
     @property
     def csv(self) -> str:
-        """Table with a row a cell.
+        """Table with one row per cell.
 
         Columns: speeds [m/s], frequency [rad/s], state, counted frames, smallest visible gain errors
         (typical, at the strongest frame, at any excitation), alarms.
@@ -73,7 +73,7 @@ class BlindMap:
         return text.getvalue()
 
     def save(self, path: str | Path) -> None:
-        """Write the map by the suffix: .html, or .csv for its cells.
+        """Write the map to a file; its suffix is .html, or .csv for a table of the cells.
 
         Parameters
         ----------
@@ -82,7 +82,7 @@ class BlindMap:
         Raises
         ------
         InputError
-            If the suffix is another one.
+            If the suffix is neither of these.
         """
         suffix = Path(path).suffix.lower()
         if suffix not in (".html", ".csv"):
@@ -92,13 +92,13 @@ class BlindMap:
 
 @contextmanager
 def _opened(identified: Identified) -> Iterator[IdentificationPictures]:
-    """Pictures of an identification, whose folder is open while they are drawn."""
+    """Open an identification's folder while its pictures are drawn."""
     with identified.opened() as stored:
         yield IdentificationPictures(stored, stored.estimator)
 
 
 def _id(name: str) -> str:
-    """The name as a valid id of a page."""
+    """Convert a name to a valid HTML id."""
     return re.sub(r"[^\w-]", "_", name)
 
 
@@ -133,7 +133,7 @@ def weights(identified: Identified) -> Picture:
 
 
 def model_error(identified: Identified) -> Picture:
-    """Draw the model error model beside W_delta.
+    """Draw the model error model together with W_delta.
 
     Parameters
     ----------
@@ -161,7 +161,7 @@ def front(identified: Identified) -> Picture:
     Raises
     ------
     InputError
-        If the structure is S0, which has none.
+        If the structure is S0, which has no front.
     """
     with _opened(identified) as drawn:
         shown = drawn.front(f"front-{identified.project.name}")
@@ -171,7 +171,7 @@ def front(identified: Identified) -> Picture:
 
 
 def excitation(identified: Identified, *runs: Replayed) -> Picture:
-    """Draw the nominal output in the counted frames, beside the disturbance bound.
+    """Draw the nominal output in the counted frames together with the disturbance bound.
 
     Parameters
     ----------
@@ -192,7 +192,7 @@ def excitation(identified: Identified, *runs: Replayed) -> Picture:
 
 
 def blind(identified: Identified, *runs: Replayed) -> BlindMap:
-    """Draw over speed and frequency where the model is proved, blind, without data, or violated.
+    """Draw a map over speed and frequency: proved, blind, without data, or violated.
 
     Parameters
     ----------
@@ -237,7 +237,7 @@ def in_time(run: Replayed, begin_s: float = 0.0, end_s: float = np.inf) -> Pictu
     Raises
     ------
     InputError
-        If no two samples lie between them.
+        If fewer than two samples lie between the two times.
     """
     series, outputs = run.arrow, run.replayer.project.outputs
     t = series["t"].to_numpy()
@@ -291,7 +291,7 @@ def evaluation(path: str | Path) -> Picture:
 
 
 def campaign(path: str | Path) -> dict[str, Picture]:
-    """Draw detection and time to the first alarm against severity.
+    """Draw detection and time to the first alarm over severity.
 
     Parameters
     ----------

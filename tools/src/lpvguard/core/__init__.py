@@ -1,7 +1,7 @@
-"""The C core seen from Python.
+"""Python interface to the C core.
 
-In: a model, an estimator, weights and tests as plain numbers; a controller. Out: the generated folder of a
-vehicle, and its compiled form: `Core` on the PC, `targets` on emulated ECUs.
+In: model, estimator, weights and tests as numbers, and a controller. Out: the generated folder of a vehicle
+and the compiled core: `Core` on the PC, `targets` on emulated ECUs.
 """
 
 MAY_IMPORT = ("base", "vehicle", "engine", "can", "drives")

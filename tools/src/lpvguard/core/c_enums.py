@@ -1,4 +1,4 @@
-"""Names of the C core's enumerations, read from its headers."""
+"""Read the names of the C core's enumerations from its headers."""
 
 import re
 from pathlib import Path
@@ -13,7 +13,7 @@ _MEMBER = re.compile(r"\s*(?P<name>\w+)\s*=\s*(?P<value>\d+)\s*")
 def enum_names(header: Path, name: str) -> tuple[str, ...]:
     """Read the member names of ``typedef enum name`` in the order of their values 0, 1, ...
 
-    The common prefix is removed. A member that only counts is left out.
+    The common prefix is removed. A last member that only states the number of members is left out.
 
     Parameters
     ----------

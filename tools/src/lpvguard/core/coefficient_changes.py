@@ -1,4 +1,4 @@
-"""Coefficients that differ between two generated folders of a vehicle."""
+"""Compare the coefficients in two generated folders of a vehicle."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class FieldChange:
     Attributes
     ----------
     name : str
-    numbers, changed : int, of the field; 1 and 1 for a file
+    numbers, changed : int, numbers in the field and how many changed; 1 and 1 for a file
     largest : float or None, largest relative change of a number; None for whole numbers and files
     """
 
@@ -46,7 +46,7 @@ def coefficient_changes(old: Path, new: Path) -> list[FieldChange]:
     Raises
     ------
     InputError
-        If one is no generated folder, or they differ in vehicle or sizes.
+        If a folder is not a generated folder, or the two differ in vehicle or sizes.
     """
     manifests = [artefacts.read_manifest(folder, "vehicle") for folder in (old, new)]
     vehicles = [m["project"]["name"] for m in manifests]

@@ -1,4 +1,4 @@
-"""Stage 6, export: one generated folder per vehicle, with which the C core is compiled.
+"""Stage 6, export: make one generated folder per vehicle, which the C core is compiled with.
 
     lpvguard_vehicle.h   name and sizes
     lpvguard_coeff.c     the coefficients (lib/include/lpvguard/coeff.h describes every field)
@@ -6,7 +6,7 @@
     lpvguard_isolation.c, lpvguard_parts.h   with [isolation] only: its table, names of the parts
     lpvguard_control.c, lpvguard_bus.c, lpvg_can_codec.h/.c   with a controller only: control_coefficients.py
     lpvguard_signals.h   the signal table: order, units, signs, ranges
-    SIGNALS.md           the same for people
+    SIGNALS.md           the signal table as a readable page
     MANIFEST.json        origin of the numbers: hashes, settings, estimator, drives, errors of the speed
                          tables; and the seal of all these files (base/artefacts.py)
 
@@ -51,10 +51,10 @@ class Coefficients(Sealed):
 
 
 class TestPart(Protocol):
-    """A test's part of the coefficients (identify/energy.py, identify/change.py)."""
+    """Part of the coefficients that belongs to one test (identify/energy.py, identify/change.py)."""
 
     def coefficients(self) -> tuple[dict[str, int], Mapping[str, ArrayLike], dict[str, np.ndarray]]:
-        """Sizes by dimension; words and numbers by field of coeff.h, in the shape of the field."""
+        """Sizes by dimension, and words and numbers by field of coeff.h in the field's shape."""
 
 
 def build_coefficients(
@@ -77,10 +77,10 @@ def build_coefficients(
     model : NominalModel
     estimator : Estimator
     W_delta : ndarray (K, n_delta), uncertainty weight of the frame test at the bins
-    B_w : ndarray (K, n_y), its disturbance weight at the bins, units of the outputs
+    B_w : ndarray (K, n_y), disturbance weight of the frame test at the bins, units of the outputs
     threshold : float, of the frame test
     energy, change : TestPart, parts of the energy and the change test
-    pools : TestPart, optional, bounds of pools of frames; by default none
+    pools : TestPart, optional, bounds of pools of frames; by default there are no pools
     certificate : tuple of both weights, optional, of the certificate set; by default the frame test's
 
     Returns
@@ -90,7 +90,7 @@ def build_coefficients(
     Raises
     ------
     InputError
-        If the bounds are of the plain DFT, or a part does not fit the project's structure.
+        If the bounds come from the plain DFT, or a part does not fit the project's structure.
     """
     require_core(project)
     table = model.table
@@ -142,13 +142,13 @@ def build_coefficients(
 def _without_pools(
     estimator: Estimator, project: Project
 ) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
-    """Words and numbers without any bound on a pool."""
+    """Words and numbers for a vehicle without pools of frames."""
     one, none = np.ones(estimator.n_bins, int), np.zeros((estimator.n_bins, project.n_y))
     return {"pool_parts": one, "pool_frames": one}, {"pool_W": none, "pool_scale": none}
 
 
 def _model_reals(project: Project, model: NominalModel) -> dict[str, ArrayLike]:
-    """Ranges of the signals, and the model over its speed cells."""
+    """Ranges of the signals, and the table of the model over speed."""
     return {
         "speed_min": model.speed_range[0],
         "speed_max": model.speed_range[1],
@@ -165,7 +165,7 @@ def _model_reals(project: Project, model: NominalModel) -> dict[str, ArrayLike]:
 
 
 def _estimator_reals(estimator: Estimator) -> dict[str, ArrayLike]:
-    """Rotations of bin and Hann window by one sample, each less one, and the scale of a frame's sum."""
+    """Rotation of bin and Hann window per sample, minus one, and the scale of a frame's sum."""
     phase = 2 * np.pi * estimator.cycles / estimator.length
     taper = 2 * np.pi / estimator.length
     half_sum = estimator.length / 2  # sum of a periodic Hann window
@@ -210,7 +210,7 @@ def _bus_value(place: CanPlace) -> str:
 
 
 def signal_table_markdown(project: Project) -> str:
-    """The signal table for people."""
+    """The signal table as a Markdown page."""
     rows = [
         f"| {s.name} | {s.role} | {s.column} | {s.unit} | {s.positive} | {s.min:g} .. {s.max:g} | "
         + (f"{_bus_value(s.can)} = {s.can.factor:g} × value" if s.can else "–")

@@ -1,6 +1,6 @@
-"""The compiled C core of one vehicle, called from Python. This package has no other monitor.
+"""The compiled C core of one vehicle, called from Python. It is the only monitor in this package.
 
-The core is built on first use, from the sources for the ECU: ``lib/`` and the vehicle's generated folder. The
+The core is compiled on first use from the ECU's sources: ``lib/`` and the vehicle's generated folder. The
 result is kept in a cache, keyed by a hash.
 """
 
@@ -51,11 +51,11 @@ DIAGNOSIS_SOURCE = "lpvguard_diagnosis.c"
 ISOLATION_SOURCE = "lpvguard_isolation.c"
 """Table of the isolation, likewise."""
 CHANGE_PARTS = ("gain", "delay", "bias")
-"""Parts of the change test's estimate, in its order (change.h)."""
+"""Parts of the change test's estimate, in the order of change.h."""
 
 
 def library_root() -> Path:
-    """Return the folder lib/ of the C core, of the source tree or else of the wheel.
+    """Return the folder lib/ of the C core, from the source tree or otherwise from the wheel.
 
     Returns
     -------
@@ -80,7 +80,7 @@ def _enum(header: str, name: str) -> tuple[str, ...]:
 
 VERDICTS = _enum("monitor.h", "lpvg_verdict_t")
 ALARMING = ("invalid", "degraded")
-"""Verdicts of a test's alarm."""
+"""Verdicts that an alarm of a test can cause."""
 REASONS = _enum("monitor.h", "lpvg_reason_t")
 TESTS = _enum("monitor.h", "lpvg_test_t")
 CAUSES = _enum("cause.h", "lpvg_cause_t")
@@ -99,7 +99,7 @@ def firmware_root() -> Path:
     Raises
     ------
     InputError
-        If there is none; the wheel carries the core only.
+        If there is none, because the wheel holds the core only.
     """
     root = PACKAGE.parents[2] / "firmware_sim"
     if not (root / "plant" / "CMakeLists.txt").is_file():
@@ -121,7 +121,7 @@ def shipped_vehicle(name: str) -> Path:
     Raises
     ------
     InputError
-        If there is none of that name.
+        If there is no folder of that name.
     """
     folder = library_root() / "vehicles" / name
     if not (folder / "lpvguard_coeff.c").is_file():
@@ -161,7 +161,7 @@ EIGEN_PREFIXES = ("/usr", "/usr/local", "/opt/homebrew")
 
 
 def eigen_include() -> str:
-    """Find Eigen 3: that of the system, or that of the Python package cmeel-eigen.
+    """Find Eigen 3 in the system or in the Python package cmeel-eigen.
 
     Returns
     -------
@@ -196,16 +196,16 @@ CORE_FLAGS = (
     "-fPIC",
 )
 OF_NO_VEHICLE = {"authentication", "can", "evidence", "j1939", "life", "uds", "xcp"}
-"""Sources without a vehicle's sizes, compiled once for all vehicles."""
+"""Sources that do not depend on a vehicle's sizes, compiled once for all vehicles."""
 
 
 def core_sources(root: Path, folder: Path) -> list[Path]:
-    """Sources of the core that a generated folder needs.
+    """List the sources of the core that a generated folder needs.
 
     Parameters
     ----------
     root : Path, lib/
-    folder : Path, generated folder of a vehicle; without lpvguard_bus.c it has no ECU
+    folder : Path, generated folder of a vehicle; it has ECU code only with lpvguard_bus.c
 
     Returns
     -------
@@ -227,7 +227,7 @@ def core_objects(
     """Compile the core and a generated folder to objects of a shared library or a program.
 
     An object depends on its source, its headers and the vehicle's sizes. Vehicles of the same sizes share all
-    objects but the tables of numbers.
+    objects except the tables of numbers.
 
     Parameters
     ----------
@@ -260,7 +260,7 @@ def core_objects(
     jobs += [(source, (*common, *flags), [*of_vehicle, *include_dirs]) for source in more]
 
     def eigen_first(source: Path) -> Path | None:
-        """Precompile Eigen's header, which takes half of a source's compile time."""
+        """Precompile Eigen's header, which needs half of the compile time of a source."""
         version = Path(eigen) / "Eigen" / "src" / "Core" / "util" / "Macros.h"
         if f'{header.name}"' not in source.read_text(encoding="utf-8") or not version.is_file():
             return None
@@ -295,7 +295,7 @@ def shared_core(
     ----------
     folder : Path, generated folder
     wrapper : Sequence[Path], sources with the library's functions
-    name : str, beginning of the library's name
+    name : str, first part of the library's name
     flags : Sequence[str], of the wrapper
     include_dirs : Sequence[Path], further folders of headers of the wrapper
     link : Sequence[str], flags of the linker
@@ -327,7 +327,7 @@ class FrameLog:
     """Frames judged by the core during a run, in the order of judgement.
 
     Arrays are over frames; E and Z are (F, n_y). t_judged_s is the time of the sample at which the core
-    judged: frames that end together are judged one after the other. Alarms of the other tests have the same
+    judged. Frames that end together are judged at successive samples. Alarms of the other tests have the same
     form (lpvg_frame_t in monitor.h). For the energy test, bin is band and direction, and E and Z hold norms.
     For the change test, bin is output and part, and E and Z hold the estimate.
     """
@@ -348,13 +348,13 @@ class FrameLog:
 
     @property
     def counted(self) -> np.ndarray:
-        """True (F,) where the frame counted (its reason is none or not_excited)."""
+        """Mask (F,) of the frames that counted (their reason is none or not_excited)."""
         return self.reason <= REASONS.index("not_excited")
 
     def judged(self, samples: int, t0: float, Ts: float, length: np.ndarray) -> np.ndarray:
-        """True (N,) at the samples that lie in a counted frame, from time t0 [s] on.
+        """Mask (N,) of the samples that lie in a counted frame, from time t0 [s] on.
 
-        ``length`` (K,) holds samples of a frame, by bin.
+        ``length`` (K,) is the length of a frame in samples, by bin.
         """
         after = np.round((self.t_end_s[self.counted] - t0) / Ts).astype(int) + 1
         frames_open = np.zeros(samples + 1, int)
@@ -364,7 +364,7 @@ class FrameLog:
 
     @classmethod
     def from_rows(cls, rows: np.ndarray, n_y: int) -> FrameLog:
-        """Convert rows (F, 12 + 4 n_y) of the C wrapper, whose times are in microseconds."""
+        """Convert rows (F, 12 + 4 n_y) of the C wrapper, which has times in microseconds."""
         parts = rows[:, 10:-2].reshape(len(rows), 2, n_y, 2)
         spectra = parts[..., 0] + 1j * parts[..., 1]
         return cls(
@@ -385,23 +385,23 @@ class FrameLog:
 
     @property
     def verdict(self) -> list[str]:
-        """Word (F,) of each alarm: "invalid" where it refutes the certificate, else "degraded"."""
+        """Verdict (F,) of each alarm: "invalid" if it refutes the certificate, else "degraded"."""
         return ["invalid" if x else "degraded" for x in self.refuted]
 
 
 @dataclass(frozen=True)
 class CauseLog:
-    """Causes that the core found during a run, in the order of time; arrays over outputs of alarms (C,).
+    """Causes that the core found during a run, in the order of time; one entry (C,) per alarm and output.
 
     Attributes
     ----------
-    t_found_s, t_alarm_s : ndarray (C,), s, time of the finding and of the alarm's block
+    t_found_s, t_alarm_s : ndarray (C,), s, time of the diagnosis and of the alarm's block
     output : ndarray (C,), index
     cause : ndarray (C,), code of CAUSES
     value, low, high : ndarray (C,), in the cause's unit (diagnosis.h)
     onset_s : ndarray (C,), s, time from the onset to the alarm
-    before : ndarray (C,), the onset may precede the kept record
-    final : ndarray (C,), from the whole record; otherwise preliminary, from its first half
+    before : ndarray (C,), the onset may be earlier than the stored record
+    final : ndarray (C,), from the whole record; otherwise preliminary, from the first half of it
     """
 
     t_found_s: np.ndarray
@@ -467,14 +467,14 @@ class PartLog:
 
 @dataclass(frozen=True)
 class Run:
-    """Answers of the core along a drive of N samples.
+    """Results of the core along a drive of N samples.
 
     Attributes
     ----------
     frames : FrameLog, judged frames
     verdict : ndarray (N,) of int, codes of monitor.h
     status : ndarray (N,) of int, codes of status.h
-    energy : ndarray (N,), ratio of the energy test, 0 where it is not judged
+    energy : ndarray (N,), ratio of the energy test, 0 where the test does not judge
     energy_band : ndarray (N,) of int, band of that ratio
     energy_alarms, change_alarms : FrameLog, alarms of these tests
     change : ndarray (N,), newest ratio of the change test, 0 before the first
@@ -495,7 +495,7 @@ class Run:
 
 
 class Core:
-    """Compiled core of a vehicle; ``diagnoses`` says whether it names the causes of alarms.
+    """Compiled core of a vehicle; ``diagnoses`` is True if it names the causes of alarms.
 
     Parameters
     ----------
@@ -516,7 +516,7 @@ class Core:
             raise InputError(
                 folder, "", f"{', '.join(missing)} missing", "a folder written by `lpvguard export`"
             )
-        # Kept, because a scratch folder may be gone when the core is sent on.
+        # The sources are kept, because a temporary folder may be deleted before the core is sent to a worker.
         self._files = tuple(
             (p.name, p.read_text(encoding="utf-8"))
             for p in sorted(self.folder.iterdir())
@@ -534,7 +534,7 @@ class Core:
         )
 
     def __reduce__(self):
-        """Send the core to another process or machine as sources, which are built there."""
+        """Pickle the core as sources; the receiving process or machine compiles them."""
         return _rebuilt, (self.folder.name, self._files, self._double, self._source_root)
 
     def _compile(self) -> Path:
@@ -552,12 +552,12 @@ class Core:
 
     @property
     def identity(self) -> str:
-        """The library's name, which has its digest: results depend on it (base/kept_results.py)."""
+        """Name of the library with its hash, because results depend on it (base/kept_results.py)."""
         return self.library.name
 
     @cached_property
     def compiled(self) -> tuple[np.ndarray, np.ndarray]:
-        """The compiled-in coefficients as flat words (W,) and numbers (R,), in the order of coeff.h."""
+        """Compiled-in coefficients as flat words (W,) and numbers (R,), in the order of coeff.h."""
         words, reals = np.zeros(self._n_words, np.uint32), np.zeros(self._n_reals)
         self._lib.lpvgb_compiled_coeff(_pointer(words), _pointer(reals))
         return words, reals
@@ -569,7 +569,7 @@ class Core:
 
     @cached_property
     def words(self) -> dict[str, np.ndarray]:
-        """The compiled-in words by field of coeff.h, each in its shape; a scalar as (1,)."""
+        """Compiled-in words by field of coeff.h, each in its shape; a scalar as (1,)."""
         return COEFF.split("words", self.compiled[0], self.sizes)
 
     @property
@@ -584,7 +584,7 @@ class Core:
         return {n: float(reals[n][0]) for n in ("threshold", "energy_threshold", "change_threshold")}
 
     def estimator_id(self) -> int:
-        """Identity of the estimator in the compiled-in coefficients."""
+        """Identifier of the estimator in the compiled-in coefficients."""
         return int(self.words["estimator_id"][0])
 
     def fields(self, reals: np.ndarray) -> dict[str, np.ndarray]:
@@ -596,8 +596,8 @@ class Core:
     ) -> RunningMonitor:
         """Start a monitor with the compiled-in coefficients, or with the given ones.
 
-        ``words`` (W,) and ``reals`` (R,) are flat, as in ``compiled``. ``seal`` renews their CRC. Raises
-        InputError with the core's status when init refuses the coefficients.
+        ``words`` (W,) and ``reals`` (R,) are flat, as in ``compiled``. With ``seal`` their CRC is computed
+        anew. Raises InputError with the core's status when init refuses the coefficients.
         """
         compiled_words, compiled_reals = self.compiled
         arguments: tuple[ctypes.c_void_p | None, ctypes.c_void_p | None] = (None, None)
@@ -611,7 +611,7 @@ class Core:
             raise InputError(
                 self.folder,
                 "coefficients",
-                f"the core's init refused them ({STATUSES[status.value]})",
+                f"init of the core refused the coefficients ({STATUSES[status.value]})",
                 "coefficients written for this core, estimator and number type",
             )
         return RunningMonitor(self, handle)
@@ -619,7 +619,7 @@ class Core:
 
 @lru_cache(maxsize=4)
 def _rebuilt(name: str, files: tuple[tuple[str, str], ...], double: bool, source_root: Path | None) -> Core:
-    """Core of generated sources; a process builds it once for all its drives."""
+    """Core from generated sources; each process compiles it once for all its drives."""
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(scratch) / name
         folder.mkdir()
@@ -632,7 +632,7 @@ def _pointer(array: np.ndarray) -> ctypes.c_void_p:
 
 
 class RunningMonitor:
-    """A running instance of the core's monitor; a drive comes in one or several pieces."""
+    """A running monitor of the core; a drive arrives in one or several pieces."""
 
     def __init__(self, core: Core, handle: int):
         self._core, self._handle = core, ctypes.c_void_p(handle)
@@ -643,9 +643,9 @@ class RunningMonitor:
     def run(
         self, t: np.ndarray, v: np.ndarray, u: np.ndarray, y: np.ndarray, present: np.ndarray | None = None
     ) -> Run:
-        """Push samples t (N,) [s], v (N,), u (N, n_u), y (N, n_y).
+        """Process samples t (N,) [s], v (N,), u (N, n_u), y (N, n_y).
 
-        Where ``present`` (N,) is False, time passes without a sample.
+        If ``present`` (N,) is False, the monitor gets only the time and no sample.
         """
         n = len(t)
         columns = self._core._columns
@@ -653,7 +653,7 @@ class RunningMonitor:
             np.ascontiguousarray(a, dtype)
             for a, dtype in ((np.round(np.asarray(t) * 1e6), np.int64), (v, float), (u, float), (y, float))
         ]
-        rows = np.empty((3 * n, columns))  # at most a frame and two alarms a sample
+        rows = np.empty((3 * n, columns))  # at most one frame and two alarms per sample
         verdict, status, band = (np.empty(n, np.uint8) for _ in range(3))
         energy, change = np.empty(n), np.empty(n)
         causes, n_causes = np.empty((n + self._core.n_y, 10)), ctypes.c_int64(n)
@@ -688,6 +688,6 @@ class RunningMonitor:
         )
 
     def run_drive(self, drive: Drive) -> Run:
-        """Run a whole drive; where its samples are missing, time passes without one."""
+        """Run a whole drive; at missing samples the monitor gets only the time."""
         present = None if drive.missing is None else ~drive.missing
         return self.run(drive.t, drive.v, drive.u, drive.y, present)

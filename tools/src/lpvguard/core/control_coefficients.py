@@ -1,4 +1,4 @@
-"""Stage 6, export of a controller: the sources for lib/include/lpvguard/controller.h, bus.h and ecu.h.
+"""Stage 6, export of a controller: write the sources for controller.h, bus.h and ecu.h of the core.
 
     lpvguard_control.c          the controller's coefficients
     lpvguard_bus.c              messages and signals of the CAN catalogue that carry the vehicle's signals
@@ -7,14 +7,13 @@
 Reads   controller.json, written by `lpvguard design`:
             Ts_s                        sample period [s]
             speeds (NG,)                nodes [m/s], equally spaced over the project's speed range
-            a (NK,)                     poles of every demand's states, as scheduled.py and controller.h have
-                                        them
+            a (NK,)                     poles of every demand's states, as in scheduled.py and controller.h
             B (NG, NU, NK, NM)          numerators; measurements: reference, then outputs
             L (NG, NU, NK, NU)          anti-windup injection, A - L C stable at every node and between
             u_max (NG, NU)              largest |demand| [input unit]
             rate_max (NU,)              its largest change [input unit/s]
 
-The manifest of the generated folder names that file by its hash.
+The manifest of the generated folder holds the hash of controller.json.
 """
 
 import re
@@ -36,21 +35,21 @@ from .scheduled import Scheduled, engagement
 from .seal import Sealed, coefficient_source
 
 CONTROL_SIZES = tuple(name for name in CONTROL.dimensions if name not in COEFF.dimensions)
-"""Sizes of a controller in lpvguard_vehicle.h: states of a demand, measurements, nodes. Zero without one."""
+"""Sizes in lpvguard_vehicle.h: states per demand, measurements, nodes; zero without a controller."""
 MAX_STATES = 40
-"""Largest number of states of all demands."""
+"""Largest number of states of all demands together."""
 ARRAYS = ("speeds", "a", "B", "L", "u_max", "rate_max")
 
 
 @dataclass(frozen=True)
 class ControllerCoefficients(Sealed):
-    """Coefficients of a scheduled controller, as the core takes them.
+    """Coefficients of a gain-scheduled controller in the core's form.
 
     Attributes
     ----------
     Ts_s : float, s
     speeds : ndarray (NG,), m/s
-    origin : dict[str, Any], hash of its file, for the manifest
+    origin : dict[str, Any], hash of the controller's file, for the manifest
     """
 
     LAYOUT = CONTROL
@@ -83,7 +82,7 @@ def build_controller(
     origin: dict[str, Any] | None = None,
     where: object = "controller",
 ) -> ControllerCoefficients:
-    """Check a scheduled controller and build its coefficients.
+    """Check a gain-scheduled controller and build its coefficients.
 
     Parameters
     ----------
@@ -104,7 +103,7 @@ def build_controller(
     Raises
     ------
     InputError
-        If an array does not fit; it names ``where``, the array and the fault.
+        If an array does not fit; the error names ``where``, the array and the reason.
     """
     arrays = {
         key: np.asarray(value, float)
@@ -131,7 +130,7 @@ def build_controller(
 
 
 def replaced_controller(header: str, controller: ControllerCoefficients) -> dict[str, str]:
-    """Return the files of a vehicle folder that change with another controller.
+    """Return the files of a vehicle folder that depend on the controller.
 
     Parameters
     ----------
@@ -161,12 +160,12 @@ def read_controller(path: Path) -> dict[str, Any]:
     Raises
     ------
     InputError
-        If it is not sealed or not complete.
+        If the file is not sealed or not complete.
     """
     document = artefacts.read_json(path)
     if not isinstance(document, dict):
         raise InputError(path, "", "not an object", "controller.json as `lpvguard design` writes it")
-    if "seal" in document:  # one made by hand has none
+    if "seal" in document:  # a hand-made controller has none
         artefacts.require_seal(path, document, "`lpvguard design`")
     missing = [key for key in ("Ts_s", *ARRAYS) if key not in document]
     if missing:
@@ -204,7 +203,7 @@ def load_controller(path: Path) -> ControllerCoefficients:
 
 
 def _check(where: object, Ts_s: float, arrays: dict[str, np.ndarray]) -> None:
-    """Require arrays that fit each other and are finite, and a stable anti-windup; InputError otherwise."""
+    """Raise InputError unless the arrays are finite, fit each other, and the anti-windup is stable."""
 
     def refuse(key: str, what: str, expected: str) -> None:
         raise InputError(where, key, what, expected)
@@ -249,11 +248,11 @@ def _check(where: object, Ts_s: float, arrays: dict[str, np.ndarray]) -> None:
 
 
 def control_files(project: Project, controller: ControllerCoefficients) -> dict[str, str]:
-    """Text by file name of the controller's part of a vehicle folder.
+    """Controller files of a vehicle folder: text by file name.
 
-    A vehicle whose demand no message of ours carries has the controller alone, without an ECU. Where
-    [can.demand] gives their places, its demands are packed into messages of its own bus. Raises
-    InputError when the controller does not fit the vehicle.
+    If [can.demand] gives places on the vehicle's own bus, the demands are packed into its messages. A vehicle
+    without a message for its demand gets the controller alone, without ECU code. Raises InputError when the
+    controller does not fit the vehicle.
     """
     where = f"controller for vehicle {project.name}"
     n_u = int(controller.words["sizes"][-1])

@@ -1,11 +1,11 @@
-"""A controller over speed with fixed poles, as the core runs it (lib/include/lpvguard/controller.h).
+"""A gain-scheduled controller with fixed poles, as in the core (lib/include/lpvguard/controller.h).
 
     K(z, v) = c(z)' B(v),    c(z) = C (z I - A)^-1 with A, C constant
 
-Only B is scheduled, linearly in v, and the states mean the same at every speed. Interpolation is exact: the
-response at a constant speed is the linear interpolation of its neighbours'. A is block diagonal of pairs of
-poles in delta-operator observer form [[1 + a, 1], [a', 1]] (Middleton and Goodwin 1990). Real poles become
-complex without a jump in a, a', and C needs no multiplication.
+Only B depends on speed, linearly between nodes. The states have the same meaning at every speed. The response
+at a constant speed is exactly the linear interpolation of the responses at the two nodes. A is block diagonal
+of pairs of poles in delta-operator observer form [[1 + a, 1], [a', 1]] (Middleton and Goodwin 1990). Two real
+poles can become a complex pair without a jump in a and a'. C needs no multiplication.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from ..engine.synthesis.statespace import StateSpace
 
 @dataclass(frozen=True)
 class Scheduled:
-    """Strictly proper discrete controllers over speed, one a demand.
+    """Strictly proper discrete-time controllers over speed, one per demand.
 
     x+ = A x + B(v) m + L(v) (u - C x), u = C x, with the measurement m = [reference, outputs].
 
@@ -30,7 +30,7 @@ class Scheduled:
     Ts : float, s
     speeds : ndarray (G,), m/s, equally spaced
     a : ndarray (n,)
-        First columns of the pairs of A - I, then of a single state if n is odd, for every demand.
+        First columns of the pairs in A - I, then that of a single state if n is odd; equal for every demand.
     B : ndarray (G, n_u, n, 1 + n_y)
     L : ndarray (G, n_u, n, n_u)
     u_max : ndarray (G, n_u), largest |demand| [input unit]
@@ -50,17 +50,17 @@ class Scheduled:
         return cls(document["Ts_s"], *arrays)
 
     def digest(self) -> str:
-        """SHA-256 over every coefficient; a certificate names its controller by it."""
+        """SHA-256 over every coefficient; a certificate refers to its controller by this hash."""
         arrays = (np.array(self.Ts), self.speeds, self.a, self.B, self.L, self.u_max)
         return hashlib.sha256(b"".join(np.ascontiguousarray(x, "<f8").tobytes() for x in arrays)).hexdigest()
 
     @property
     def order(self) -> int:
-        """Number of states of all demands."""
+        """Number of states of all demands together."""
         return self.B.shape[1] * len(self.a)
 
     def at(self, v: float) -> StateSpace:
-        """Controller that the core runs at speed v: interpolated float32 coefficients, A - I formed in
+        """Controller of the core at speed v: interpolated float32 coefficients; A - I is computed in
         double."""
         A, C = self._constant()
         B = self._rows(self.B, v)
@@ -100,7 +100,7 @@ class Scheduled:
 
 
 def realisation(a: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """A (n, n) and C (1, n) of one demand's states: pairs, and a single one if n is odd."""
+    """A (n, n) and C (1, n) of one demand's states: pairs, and a single state if n is odd."""
     n = len(a)
     A, heads = np.eye(n), np.arange(0, n, 2)
     A[np.arange(n), np.arange(n) // 2 * 2] += a
@@ -109,11 +109,12 @@ def realisation(a: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def engagement(a: np.ndarray, B: np.ndarray) -> np.ndarray:
-    """Matrix E (n, 2) that sets the demand at engagement; a (n,), B (n_u, n, m) as in ``Scheduled``.
+    """Matrix E (n, 2) that sets the demand at engagement (bumpless transfer); a (n,), B (n_u, n, m).
 
-    The change x += E (u - C x, -(C (A x + B m) - C x)) makes this and the next wanted demand u. It is the
-    likeliest one: least in the metric of the covariance of x under white m of equal size at all speeds. Where
-    no state can meet both demands, the second is left out. Raises LinAlgError unless the poles are stable.
+    After the change x += E (u - C x, -(C (A x + B m) - C x)) this demand and the next one equal u. The change
+    is the most likely one: it is smallest in the metric of the covariance of x. That covariance assumes white
+    m of equal size at all speeds. If no state can give both demands, the second condition is left out. Raises
+    LinAlgError unless the poles are stable.
     """
     A, c = realisation(a)
     if np.abs(np.linalg.eigvals(A)).max() >= 1:
@@ -123,7 +124,7 @@ def engagement(a: np.ndarray, B: np.ndarray) -> np.ndarray:
     P = sl.solve_discrete_lyapunov(A, drive @ drive.T) if size.any() else np.eye(len(a))
     M = np.vstack([c, c @ (A - np.eye(len(a)))])
     first = P @ c.T / (c @ P @ c.T)
-    rest = M[1] - M[1] @ first * c  # what the second constraint asks for when the first is met
+    rest = M[1] - M[1] @ first * c  # what the second condition needs when the first is met
     left = (rest @ P @ rest.T).item()
     if left <= 1e-9 * (M[1] @ P @ M[1]):
         return np.hstack([first, np.zeros_like(first)])

@@ -1,4 +1,4 @@
-"""Coefficient structs of the C core as text and bytes (base/layout.py)."""
+"""Write coefficient structs of the C core as text and bytes (base/layout.py)."""
 
 import struct
 import zlib
@@ -12,11 +12,11 @@ from ..base.layout import Layout
 
 @dataclass(frozen=True)
 class Sealed:
-    """Coefficient struct of the core: 32-bit words, then numbers, under one CRC, in the order of LAYOUT.
+    """Coefficient struct of the core: 32-bit words, then numbers, in the order of LAYOUT, with one CRC.
 
     Attributes
     ----------
-    sizes : dict[str, int], by dimension, those that the struct brings to lpvguard_vehicle.h
+    sizes : dict[str, int], by dimension, sizes that the struct adds to lpvguard_vehicle.h
     words : dict[str, ndarray], by field; words["sizes"] holds all sizes that the struct depends on
     reals : dict[str, ndarray], by field
 
@@ -44,7 +44,7 @@ class Sealed:
         return np.concatenate([np.atleast_1d(v).ravel() for v in self.reals.values()]).astype(float)
 
     def crc32(self, real_bytes: int) -> int:
-        """CRC-32 as the core computes it, for 4- or 8-byte numbers."""
+        """CRC-32 as in the core, for 4- or 8-byte numbers."""
         words = dict(self.words, real_bytes=np.array(real_bytes), crc32=np.array(0))
         flat = np.concatenate([np.atleast_1d(v).ravel() for v in words.values()])
         payload = struct.pack(f"<{len(flat)}I", *(int(w) for w in flat))
@@ -67,9 +67,9 @@ def _braced(values: np.ndarray, show) -> str:
 
 
 def _literals(value: float) -> str:
-    """C text for ``value`` rounded to float and separately to double.
+    """C text for ``value``, rounded to float and separately rounded to double.
 
-    One decimal text for both would round differently from numpy where the double lies between two floats.
+    One decimal text for both could round differently from numpy if the double lies between two floats.
     """
 
     def text(digits: str) -> str:
@@ -79,7 +79,7 @@ def _literals(value: float) -> str:
 
 
 def coefficient_source(c: Sealed) -> str:
-    """C text that defines the struct as its header declares it."""
+    """C text that defines the struct that its header declares."""
     header, variable = c.LAYOUT.header, f"lpvg_{c.LAYOUT.struct}"
 
     def word(value: int) -> str:

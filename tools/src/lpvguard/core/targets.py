@@ -1,17 +1,17 @@
-"""The core on ECU instruction sets, without hardware: cross-compiled, run by QEMU, counted by the guest.
+"""Run the core on emulated ECU processors: cross-compile it, run it in QEMU, and count instructions.
 
     cortex-m4f   QEMU mps2-an386          cortex-m7   QEMU mps2-an500          cortex-r5f   QEMU xlnx-zcu102,
                  RPU core 0
 
 ``run_target`` builds firmware_sim/ports/target_bench.cpp with a vehicle's generated folder and runs it over a
-drive. It returns the core's answers, bit for bit, and the cost of every part. Costs are *instructions, not
+drive. It returns the core's results, bit for bit, and the cost of every part. Costs are *instructions, not
 cycles*: QEMU models no pipeline, cache or flash waits. ``run_host`` does the same with the PC's compiler, for
-comparison. ``emulated_ecu`` builds the whole firmware for the loop of `lpvguard sim`, over the emulated CAN
-controller.
+comparison. ``emulated_ecu`` builds the whole firmware with the emulated CAN controller for the loop of
+`lpvguard sim`.
 
-There are two builds. The one for comparing bits has ``-ffp-contract=off`` on every side, because M4F and M7
-have a fused multiply-add and the R5F has not. The one for counting has the compiler's default, as an ECU
-project builds the library.
+There are two builds. The build for comparing bits uses ``-ffp-contract=off`` everywhere, because M4F and M7
+have a fused multiply-add and the R5F does not. The build for counting uses the compiler's default, as in a
+usual ECU project.
 """
 
 import hashlib
@@ -42,16 +42,16 @@ SAME_BITS = "-ffp-contract=off"
 WARNINGS = ("-Wall", "-Wextra", "-Wconversion", "-Wdouble-promotion", "-Wshadow", "-Werror")
 CXX = ("-std=c++17", "-fno-exceptions", "-fno-rtti", "-fno-threadsafe-statics")
 SECTIONS = {".core_code": "code", ".core_coefficients": "coefficients", ".core_libraries": "libraries"}
-"""The core's sections in the linker scripts, and their names in the report."""
+"""Sections of the core in the linker scripts, and their names in the report."""
 SEMIHOSTING = ("-semihosting-config", "enable=on,target=native")
 TIMEOUT_S = 300
 R5_START = "qom-set /machine/soc/rpu-cluster/rpu-cpu[0] start-powered-off false\nsystem_reset\ncont\n"
-"""QEMU 7.2 leaves the RPU core off even as boot processor: paused at first, switched on by its monitor."""
+"""Commands for QEMU's monitor that switch the RPU core on; QEMU 7.2 leaves even the boot processor off."""
 
 
 @dataclass(frozen=True)
 class Target:
-    """A processor: compiler options, port, and the emulator's command without the ELF."""
+    """A processor: compiler options, port, and the emulator's command without the ELF file."""
 
     name: str
     title: str
@@ -62,7 +62,7 @@ class Target:
     elf_option: str
     monitor_input: str | None = None
     can: tuple[str, ...] = ()
-    """Options that put the CAN controller on QEMU's bus canbus0; empty where the board has none."""
+    """Options that connect the CAN controller to QEMU's bus canbus0; empty if the board has none."""
 
 
 def _mps2(name: str, title: str, board: str, *cpu: str) -> Target:
@@ -78,7 +78,7 @@ def _mps2(name: str, title: str, board: str, *cpu: str) -> Target:
 
 
 EVIDENCE_CALLS = 2000
-"""Samples over which the evidence ring is counted."""
+"""Number of samples over which the evidence ring's instructions are counted."""
 TARGETS = {
     t.name: t
     for t in (
@@ -115,7 +115,7 @@ TARGETS = {
 
 
 def missing_tools(target: Target) -> list[str]:
-    """Programs that ``run_target`` needs and the path lacks."""
+    """Programs that ``run_target`` needs and that are not installed."""
     tools = (
         "arm-none-eabi-gcc",
         "arm-none-eabi-g++",
@@ -128,7 +128,7 @@ def missing_tools(target: Target) -> list[str]:
 
 @dataclass(frozen=True)
 class Input:
-    """A drive as the core takes it, rounded to float, one row a sample period.
+    """A drive as input of the core, rounded to float, one row per sample.
 
     Attributes
     ----------
@@ -188,7 +188,7 @@ class EmulatedEcu:
     Attributes
     ----------
     target : str
-    program : Path, starts it as lpvguard_ecu is started
+    program : Path, script that starts it with the arguments of lpvguard_ecu
     elf_sha256 : str, identifies the image
     """
 
@@ -212,7 +212,7 @@ def _emulator(target: Target, elf: Path) -> list[str]:
 def on_can(name: str, elf: Path, interface: str) -> tuple[list[str], str]:
     """Command and standard input that run an image with its CAN controller on a SocketCAN interface.
 
-    Raises InputError as `emulated_ecu`.
+    Raises InputError like `emulated_ecu`.
     """
     target = _with_can(name)
     host = f"can-host-socketcan,id=can,if={interface},canbus=canbus0"
@@ -221,7 +221,7 @@ def on_can(name: str, elf: Path, interface: str) -> tuple[list[str], str]:
 
 
 def _with_can(name: str) -> Target:
-    """Target whose emulated machine has a CAN controller."""
+    """Return the target if its emulated machine has a CAN controller; InputError otherwise."""
     if name in TARGETS and not TARGETS[name].can:
         raise InputError(
             name,
@@ -247,7 +247,7 @@ def emulated_ecu(name: str, vehicle: Path) -> EmulatedEcu:
     Raises
     ------
     InputError
-        If tools are missing, it does not build, or the machine has no CAN controller.
+        If tools are missing, the firmware does not build, or the machine has no CAN controller.
     """
     target = _with_can(name)
     ports, ecu = firmware_root() / "ports", firmware_root() / "ecu"
@@ -264,7 +264,7 @@ def emulated_ecu(name: str, vehicle: Path) -> EmulatedEcu:
     )
     elf, _ = _build(target, vehicle, program, (*LANGUAGE, SAME_BITS))
     command = " ".join(map(shlex.quote, [*_emulator(target, elf), *target.can]))
-    # Arguments: INTERFACE --engage yes|no --time-line FD. The emulator ends when the simulator does.
+    # Arguments: INTERFACE --engage yes|no --time-line FD. The emulator ends when the simulator ends.
     script = (
         "#!/bin/sh\nexport QEMU_AUDIO_DRV=none\n"
         f'exec setpriv --pdeathsig TERM {command} -chardev "socket,id=time,fd=$5" '
@@ -282,14 +282,14 @@ def emulated_ecu(name: str, vehicle: Path) -> EmulatedEcu:
 
 
 def image_with_debug_information(name: str, vehicle: Path, program: Program) -> Path:
-    """ELF of a program with the core, built as for an ECU, with -g. Raises InputError as `run_target`."""
+    """ELF file of a program with the core, built as for an ECU with -g. Errors as in `run_target`."""
     return _build(_target(name), vehicle, program, (*LANGUAGE, "-g"))[0]
 
 
 @dataclass(frozen=True)
 class Verdicts:
-    """Verdicts of drives by an image of the monitor alone. Each drive has a list of (sample, verdict) at
-    which the verdict changes. ``rom`` is as in `run_target`; ``ram_bytes`` is the monitor's."""
+    """Verdicts of an image with only the monitor. Each drive has a list of (sample, verdict) for each change
+    of the verdict. ``rom`` is as in `run_target`; ``ram_bytes`` is the RAM of the monitor."""
 
     changes: list[list[tuple[int, int]]]
     rom: dict[str, int]
@@ -299,7 +299,7 @@ class Verdicts:
 def run_verdicts(
     name: str, vehicle: Path, drives: Sequence[Input], *, double: bool = False, fused: bool = False
 ) -> Verdicts:
-    """Run the monitor alone over drives on a target.
+    """Run only the monitor over drives on a target.
 
     Parameters
     ----------
@@ -349,7 +349,7 @@ def run_verdicts(
 def run_program(name: str, vehicle: Path, program: Program, *, timeout_s: float = TIMEOUT_S) -> list[str]:
     """Run a program with the core on a target, or on this PC for ``host``.
 
-    The results have the same bits on all targets.
+    The results are bit-equal on all targets.
 
     Parameters
     ----------
@@ -374,9 +374,9 @@ def run_program(name: str, vehicle: Path, program: Program, *, timeout_s: float 
 
 
 def run_image(name: str, elf: Path, timeout_s: float = TIMEOUT_S) -> list[str]:
-    """Run an image in the target's emulator for ``timeout_s`` [s] at most; returns its lines.
+    """Run an image in the target's emulator for at most ``timeout_s`` [s] and return its lines.
 
-    Raises InputError when it fails.
+    Raises InputError when the run fails.
     """
     target = _target(name)
     command = [*_emulator(target, elf), *SEMIHOSTING]
@@ -406,22 +406,22 @@ def run_image(name: str, elf: Path, timeout_s: float = TIMEOUT_S) -> list[str]:
 
 
 def run_target(name: str, vehicle: Path, drive: Input, *, same_bits: bool) -> dict[str, Any]:
-    """Build the benchmark for a target and run it in QEMU over a drive.
+    """Build the benchmark program for a target and run it in QEMU over a drive.
 
     Parameters
     ----------
     name : str, the target
     vehicle : Path, generated folder
     drive : Input
-    same_bits : bool, results with the same bits on all targets; False allows fused operations, for counting
+    same_bits : bool, results are bit-equal on all targets; False allows fused operations, for counting
 
     Returns
     -------
     dict
         Keys: ``target``, ``elf_sha256``, ``rom {code, coefficients, libraries}``, ``structs {name: bytes}``,
         ``map {section: {address, bytes}}``, ``parts {name: {calls, worst, median, stack}}``, ``imports``,
-        ``results``. The parts are in instructions of one call and bytes. The imports are the symbols that the
-        core's objects take from libraries. The results are lines.
+        ``results``. ``parts`` are in instructions per call and bytes. ``imports`` are the symbols that the
+        core's objects need from libraries. ``results`` are text lines.
 
     Raises
     ------
@@ -445,7 +445,7 @@ def run_target(name: str, vehicle: Path, drive: Input, *, same_bits: bool) -> di
 
 
 def run_evidence(name: str, vehicle: Path) -> dict[str, Any]:
-    """Count the evidence ring on a target, in an image of its own.
+    """Count the instructions of the evidence ring on a target, in a separate image.
 
     Parameters
     ----------
@@ -454,7 +454,7 @@ def run_evidence(name: str, vehicle: Path) -> dict[str, Any]:
 
     Returns
     -------
-    dict, ``structs`` and ``parts`` as of `run_target`
+    dict, ``structs`` and ``parts`` as in `run_target`
 
     Raises
     ------
@@ -474,7 +474,7 @@ def run_evidence(name: str, vehicle: Path) -> dict[str, Any]:
 
 
 def run_host(vehicle: Path, drive: Input) -> dict[str, Any]:
-    """Run the same program on this PC; its counts are zero.
+    """Run the same program on this PC, where all instruction counts are zero.
 
     Parameters
     ----------
@@ -483,7 +483,7 @@ def run_host(vehicle: Path, drive: Input) -> dict[str, Any]:
 
     Returns
     -------
-    dict, results and structs
+    dict, ``results`` and ``structs`` as in `run_target`
 
     Raises
     ------
@@ -500,7 +500,7 @@ def _bench_of(drive: Input) -> Program:
 
 
 def _host_lines(vehicle: Path, program: Program) -> list[str]:
-    """Lines that a program writes on this PC, up to its last line ``end``."""
+    """Run a program on this PC and return its lines up to the last line ``end``."""
     ports = firmware_root() / "ports"
     with tempfile.TemporaryDirectory() as scratch:
         write_files(Path(scratch), program.headers)
@@ -541,7 +541,7 @@ def _sources(vehicle: Path) -> tuple[list[Path], list[Path]]:
 def _build(
     target: Target, vehicle: Path, program: Program, language: tuple[str, ...]
 ) -> tuple[Path, list[str]]:
-    """ELF, cached, and the symbols that the core's objects take from libraries."""
+    """Cached ELF file, and the symbols that the core's objects need from libraries."""
     vehicle = Path(vehicle)
     sources = _named_sources(target, vehicle, program)
     flags = (*target.cpu, *language, *WARNINGS, "-ffunction-sections", "-fdata-sections")
@@ -562,7 +562,7 @@ def _build(
 
 
 def _named_sources(target: Target, vehicle: Path, program: Program) -> dict[str, Path]:
-    """Source by object name; the linker scripts select the core's objects by their prefixes."""
+    """Sources by object name; the linker scripts select the core's objects by the prefix of the name."""
     ports = firmware_root() / "ports"
     port = ports / target.port
     core_sources, vehicle_sources = _sources(vehicle)
@@ -606,7 +606,7 @@ def _build_key(
 def _compile(
     vehicle: Path, program: Program, sources: dict[str, Path], flags: tuple[str, ...], folder: Path
 ) -> list[Path]:
-    """Compile all sources into ``folder`` with the program's headers; the core's objects are cached."""
+    """Compile all sources into ``folder`` with the program's headers. The core's objects are cached."""
     write_files(folder, program.headers)
     ports, core = firmware_root() / "ports", library_root()
     eigen = ("-isystem", eigen_include())
@@ -628,7 +628,7 @@ def _compile(
 
 
 def _core_object(vehicle: Path, source: Path, flags: tuple[str, ...]) -> Path:
-    """One of the core's objects for a vehicle, in the cache."""
+    """Cached object of one of the core's sources for a vehicle."""
     includes = (library_root() / "include", library_root() / "src", vehicle)
     try:
         return native.compile_object(source, flags=flags, include_dirs=includes, compiler="arm-none-eabi-g++")
@@ -637,7 +637,7 @@ def _core_object(vehicle: Path, source: Path, flags: tuple[str, ...]) -> Path:
 
 
 def _link(target: Target, objects: list[Path], elf: Path, vehicle: Path) -> None:
-    """Link to ``elf`` by the target's linker script."""
+    """Link to ``elf`` with the target's linker script."""
     script = firmware_root() / "ports" / target.port / target.linker_script
     options = ("--specs=nano.specs", "-nostartfiles", "-Wl,--gc-sections", "-Wl,--no-warn-rwx-segments")
     _tool(["arm-none-eabi-g++", *target.cpu, *options, "-T", script, *objects, "-o", elf], vehicle)
@@ -656,7 +656,7 @@ def _tool(command: Sequence[object], source: Path) -> str:
 
 
 def _imports(objects: list[Path]) -> list[str]:
-    """Symbols that the objects need and none of them defines."""
+    """Symbols that the objects need but do not define."""
     needed: set[str] = set()
     defined: set[str] = set()
     for line in _tool(["arm-none-eabi-nm", *objects], objects[0]).splitlines():
@@ -666,7 +666,7 @@ def _imports(objects: list[Path]) -> list[str]:
 
 
 def _sections(elf: Path) -> dict[str, Any]:
-    """``rom``, and ``map``: the sections that take memory on the target, by address."""
+    """``rom``, and ``map`` with the sections that use memory on the target, by address."""
     listed = {}
     for line in _tool(["arm-none-eabi-readelf", "--section-headers", "--wide", elf], elf).splitlines():
         section = re.match(

@@ -11,7 +11,7 @@ KINDS = ("full", "repeated_complex", "repeated_real")
 class Block:
     """One diagonal block Delta_i of Delta with xi_i = Delta_i eta_i.
 
-    In a matrix M with eta = M xi the block's part is cols × rows.
+    In a matrix M with eta = M xi, the part of the block has the shape cols × rows.
 
     Attributes
     ----------
@@ -39,5 +39,5 @@ class Block:
 
     @property
     def repeated(self) -> bool:
-        """One scalar times the identity."""
+        """Whether the block is one scalar times the identity."""
         return self.kind != "full"

@@ -1,7 +1,7 @@
-"""Evaluation of the tests.
+"""Evaluation of the tests on drives with injected faults.
 
-In: an identification, drives, faults injected into them. Out: false alarms and detection, leave-one-drive-out
-or on held-out drives, in comparison with baselines.
+In: an identification, its drives or held-out drives, and the faults to inject. Out: false alarms and
+detection of the monitor and of the baselines.
 """
 
 MAY_IMPORT = ("base", "vehicle", "drives", "core", "identify", "replay")

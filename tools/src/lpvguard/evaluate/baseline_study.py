@@ -1,8 +1,8 @@
 """The baselines (baselines.py) tuned, calibrated and evaluated on the drives of an identification.
 
 A baseline gets the same drives, residuals, calibration drives and alpha as the monitor. Its parameters are
-those that find most injected faults (then soonest), all ways and rows together, on the bound-setting and the
-other calibration drives. The drive under test takes part in neither tuning nor calibration.
+those that find the most injected faults on the bound-setting drives and the other calibration drives. A tie
+goes to the faster ones. The drive under test takes part in neither tuning nor calibration.
 """
 
 from collections.abc import Callable, Iterator
@@ -32,7 +32,7 @@ def _sizes(reader: DriveReader, experiment: Experiment) -> Sizes:
 def _largest(
     reader: DriveReader, bank: Bank, item: tuple[Experiment, tuple[Baseline, ...]]
 ) -> dict[Baseline, np.ndarray]:
-    """Largest statistic of each of the item's baselines in each 60 s piece of its drive (piece_starts)."""
+    """Largest statistic in each 60 s piece of the item's drive (piece_starts), for each of its baselines."""
     experiment, baselines = item
     drive, e, yhat = reader.read(experiment)
     starts = piece_starts(len(drive.v), reader.project.Ts_s)
@@ -63,7 +63,7 @@ def _outcomes(
     bank: Bank,
     item: tuple[Experiment, tuple[Key, ...]],
 ) -> Iterator[tuple[Key, Case, FaultOutcome]]:
-    """Outcomes of every fault injected into a drive, by each of the keys; nothing where the drive does not
+    """Outcomes of every fault injected into a drive, for each of the keys; empty if the drive does not
     qualify."""
     experiment, keys = item
     drive, e, yhat = reader.read(experiment)
@@ -87,7 +87,7 @@ def _outcomes(
 
 @dataclass(frozen=True)
 class Merit:
-    """Number of injected faults found, and their seconds; a miss counts as the time allowed."""
+    """Number of found faults and the sum of their detection times; a miss counts as the time allowed."""
 
     detected: int = 0
     seconds: float = 0.0
@@ -100,7 +100,7 @@ def _merits(
     bank: Bank,
     item: tuple[Experiment, tuple[Key, ...]],
 ) -> dict[Key, Merit]:
-    """Merit of each of the keys on a drive."""
+    """Merit of each of the keys (parameter sets) on a drive."""
     merits = dict.fromkeys(item[1], Merit())
     for key, _, outcome in _outcomes(core, injection, reader, bank, item):
         s = injection.within_s if outcome.s is None else outcome.s
@@ -124,8 +124,7 @@ def _judged(
 
 @dataclass(frozen=True)
 class OnDrives:
-    """Results of the best baseline of each kind, by drive: calibration, alarmed and all 60 s pieces,
-    outcomes."""
+    """Results of the best baseline of each kind, by drive: calibration, count of 60 s pieces, outcomes."""
 
     chosen: dict[str, dict[str, tuple[Baseline, Calibration]]]
     pieces: dict[str, dict[str, tuple[int, int]]]
@@ -142,7 +141,7 @@ class BaselineStudy:
     stored : StoredIdentification
     drives : DriveSet, the identification's drives
     core : Core
-    left_out : tuple of str or None, drives that will be left out; None: all calibration drives count
+    left_out : tuple of str or None, drives to leave out later; None: all calibration drives count
     injection : Injection, faults by which parameters are chosen
     workers : Map
     progress : Callable, reports progress
@@ -186,7 +185,7 @@ class BaselineStudy:
         return Bank(model, estimator, scales, sizes).prepared(GRID)
 
     def _over(self, task: Callable, items: list[tuple], what: str) -> dict:
-        """Results of ``task`` by name of the experiment that begins each item."""
+        """Results of ``task``, keyed by the name of the experiment at the start of each item."""
         results = {}
         mapped = self.workers(partial(task, self.reader, self.bank), items)
         for (experiment, *_), result in zip(items, mapped, strict=False):
@@ -201,7 +200,7 @@ class BaselineStudy:
     def calibration(self, b: Baseline, without: str | None = None) -> Calibration:
         """Conformal threshold from the calibration drives without the recording of ``without``.
 
-        Drives on which the baseline never spoke give no score. Without any score it never alarms.
+        A drive on which the baseline has no statistic gives no score. Without any score it never alarms.
         """
         others = self.recordings.others(self.calibration_drives, without)
         scores = {n: float(self.largest[n][b].max()) for n in others}
@@ -210,9 +209,9 @@ class BaselineStudy:
         return calibrate(spoken, self.alpha, floor=floor, recordings=self.recordings)
 
     def best(self, kind: str, without: str | None = None) -> tuple[Baseline, Calibration]:
-        """Parameters of ``kind`` that find most faults, then soonest, with their calibration.
+        """Parameters of ``kind`` that find the most faults, and their calibration.
 
-        The recording of ``without`` does not count.
+        Faster parameters win a tie. The recording of ``without`` does not count.
         """
         others = self.recordings.others(self.merits, without)
 
@@ -225,9 +224,10 @@ class BaselineStudy:
         return b, self.calibration(b, without)
 
     def on(self, judged: list[Experiment], *, left_out: bool) -> OnDrives:
-        """The best of each kind on the ``judged`` drives.
+        """Results of the best baseline of each kind on the ``judged`` drives.
 
-        ``left_out``: each is tuned and calibrated without the drive, otherwise on all of the study's drives.
+        With ``left_out``, each is tuned and calibrated without the drive under test. Otherwise it is tuned
+        and calibrated on all drives of the study.
         """
         chosen = {
             e.name: {kind: self.best(kind, e.name if left_out else None) for kind in KINDS} for e in judged
@@ -244,14 +244,14 @@ class BaselineStudy:
 
 
 def alarmed(largest: np.ndarray, threshold: float) -> tuple[int, int]:
-    """(alarmed, all) pieces of a drive, from the ``largest`` statistic (P,) in each."""
+    """Number of (alarmed, all) pieces of a drive, from the ``largest`` statistic (P,) in each."""
     return int((largest > threshold).sum()), len(largest)
 
 
 def evaluate_baselines(rows: list[dict], on: OnDrives, known: Outcomes) -> list[dict]:
     """False alarms, chosen parameters and outcomes per kind, on the drives of ``rows``.
 
-    ``known`` holds outcomes of the monitor, which say when a fault was refutable.
+    ``known`` holds the monitor's outcomes. They state when a fault was refutable.
     """
     table: list[dict] = []
     for kind in KINDS:

@@ -1,35 +1,37 @@
-"""Baselines: five detectors on the monitor's residual e = y - yhat.
+"""Baselines: five standard detectors that use the monitor's residual e = y - yhat.
 
-They are tuned and calibrated alike.
+All are tuned and calibrated in the same way.
 
     rms      root of the mean over a window of sum_j (e_j / s_j)^2
-    cusum    two-sided cumulative sums of e_j / s_j less a drift, largest over sides and outputs (Page's test)
+    cusum    two-sided cumulative sums of e_j / s_j minus a drift, the largest over signs and outputs (Page's
+             test)
     nis      mean over a window of the normalised innovation squared of a Kalman filter (chi-square test)
     tracker  recursive least squares with forgetting of e_j = a yhat_j - b dyhat_j/dt + c: gain, delay, bias
     glr      generalised likelihood ratio of a fault in gain, delay or bias, of unknown size, that began
              within a window (Willsky and Jones)
 
-s_j is the rms of e_j on the drives that set the bounds. The filter runs on e. With the input known,
-the error of the nominal model obeys x+ = A(v) x + w, e = C x + n. Its innovations are therefore those of a
-filter on y. n has covariance diag(s_j^2), w has q^2 diag(X). X is the state covariance of the nominal model
-under white input of the measured rms. Gains are stationary at each of SPEED_NODES speeds; the nearest one
-acts. Only samples in range and settled are used (drives/frames.py); the sums restart after others.
+s_j is the rms of e_j on the drives that set the bounds. The Kalman filter runs on e. The input is known, so
+the error of the nominal model obeys x+ = A(v) x + w, e = C x + n. A filter on y would have the same
+innovations. n has covariance diag(s_j^2), w has q^2 diag(X). X is the state covariance of the nominal model
+under white input of the measured rms. The filter uses the stationary gain of the nearest of SPEED_NODES
+speeds. Only samples in range and settled are used (drives/frames.py); the sums restart after any other
+sample.
 
 The tracker estimates theta = (a, b, c) of each output. A prior keeps it near 0 where nothing excites it. The
-prior's weight is ``prior`` times the memory, in driving like that of the bound-setting drives. The ratio's
-directions are yhat_j, -dyhat_j/dt and 1, each in one output, filtered as e is; with q = 0 the filter ignores
-e. Over the newest n samples it is (sum nu' S^-1 phi)^2 / sum phi' S^-1 phi. Its onset is searched: n is the
-window, half of it, a quarter and so on, down to SHORTEST_ONSET_S. Tracker and ratio have a component a
-direction, |theta_i| or the ratio's root. The statistic is the largest, each over its own rms on the
-bound-setting drives.
+prior has the weight of ``prior`` times the memory in driving like that of the bound-setting drives. The
+likelihood ratio has three directions for each output: yhat_j, -dyhat_j/dt and 1. They are filtered like e.
+With q = 0 the filter ignores e. The ratio over the newest n samples is (sum nu' S^-1 phi)^2 / sum phi' S^-1
+phi. The detector tries several onsets: n is the window, half of it, a quarter and so on, down to
+SHORTEST_ONSET_S. The tracker's components are |theta_i|, those of the ratio are its roots. Each is divided by
+its rms on the bound-setting drives. The statistic is the largest of them.
 
-A detector alarms where its statistic exceeds its threshold. This is the conformal one of
-identify/calibration.py from the same calibration drives, one score a drive. Where enough drives calibrate,
-all detectors have the same guaranteed rate of false alarms. Parameters are searched over GRID, on
-bound-setting and calibration drives alone. The best find the most injected faults in time there; ties go to
-the fastest. The search knows the faults to be found. The monitor's tests, frames and memories were chosen
-with all measured drives in view (tools/DESIGN_LOG.md). That choice leaves out no drive, while the baselines'
-search leaves out the one under test.
+A detector alarms where its statistic exceeds its threshold. The threshold is conformal
+(identify/calibration.py), from the same calibration drives, with one score per drive. If enough drives
+calibrate, all detectors have the same guaranteed rate of false alarms. The parameters are searched over GRID
+on the bound-setting and calibration drives. The best ones find the most injected faults in time; ties go to
+the fastest. The search knows which faults are injected. The monitor's tests, frames and memories were chosen
+with all measured drives in view (tools/DESIGN_LOG.md). That choice used every drive, while the baselines'
+search leaves out the drive under test.
 """
 
 from __future__ import annotations
@@ -64,12 +66,12 @@ SHORTEST_ONSET_S = 0.2
 
 @dataclass(frozen=True)
 class Baseline:
-    """A detector with its parameters; those that its kind lacks are 0.
+    """A detector with its parameters; a parameter that its kind does not use is 0.
 
     Attributes
     ----------
     kind : str
-    window_s : float, s; for the tracker the time constant of the forgetting
+    window_s : float, s; the tracker's time constant of forgetting
     drift : float, of cusum, in units of s_j
     process_ratio : float, q of the filter
     prior : float, of the tracker
@@ -107,8 +109,8 @@ GRID = (
         for w in (1.25, 2.5, 5.0, 10.0, 20.0)
     ),
 )
-"""Parameters of the search. Windows reach the 30 s within which a fault is wanted. As q falls the filter
-follows e less, until nis is rms. The ratio's windows share their onsets."""
+"""Parameters of the search. The longest window is the 30 s within which a fault should be found. With a
+smaller q the filter follows e less; at 0, nis equals rms. The windows of the ratio share their onsets."""
 
 
 @dataclass(frozen=True)

@@ -1,19 +1,19 @@
-"""Causes that the core names for injected faults, and whether they are right (THEORY 7.9).
+"""Check the causes that the core names for injected faults (THEORY 7.9).
 
 A fault counts if it was found in time (detection.py), with the thresholds as exported. Its drive goes on for
 DIAGNOSED_S beyond that time, so that late alarms are diagnosed, too. The diagnosis is that of the first alarm
 from the fault's start on. Where a drive ends before the whole record is judged, the preliminary diagnosis
 from half of it counts.
 
-**Known** faults have one cause: gain, sign, frozen, bias, delay. An output is right when the cause is that,
-"other" when it is other, wrong in all other cases. The truth of an interval is the fault's mean size from the
-alarm to the diagnosis: all of it, or the share of a ramp. A delayed input is a negative delay: the output is
-earlier than the model's.
+**Known** faults have one cause: gain, sign, frozen, bias, delay. The judgement of an output is "right" if the
+core names this cause, "other" if it names no single cause, and "wrong" otherwise. An interval should hold the
+fault's mean size from the alarm to the diagnosis. A ramp counts with the share that it has reached. A delayed
+input is a negative delay, because the output is then earlier than the model's.
 
-Faults of `no_single_cause` are two at once, a dead zone, or a saturating output. For them "other" is right. A
-gain is right, too, when its interval holds the equivalent gain. This is the least-squares gain of the faulty
-output on the untouched one over the same samples. A record is uneven if the root mean square of the untouched
-output differs by UNEVEN or more between the halves of these samples.
+Faults of `no_single_cause` are two simultaneous faults, a dead zone, or a saturating output. The answer
+"other" is right for them. A gain is also right if its interval holds the equivalent gain. This is the
+least-squares gain of the faulty output on the untouched one over the same samples. A record is uneven if the
+root mean square of the untouched output differs by UNEVEN or more between the halves of these samples.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ JUDGEMENTS = (RIGHT, OTHER, WRONG, NOT_YET)
 
 
 def true_cause(fault: Fault) -> str | None:
-    """The one cause of a fault, or None."""
+    """Single cause of a fault, or None if it has several."""
     if fault.also is not None:
         return None
     if fault.kind == "gain":
@@ -54,7 +54,7 @@ def true_cause(fault: Fault) -> str | None:
 
 @dataclass(frozen=True)
 class OutputCause:
-    """Cause named for an output; ``truth`` is the size that its interval should hold, or None."""
+    """Cause that the core names for an output; its interval should hold the size ``truth``, if not None."""
 
     output: str
     cause: str
@@ -66,7 +66,7 @@ class OutputCause:
 
     @property
     def held(self) -> bool | None:
-        """Whether the interval of a right cause holds the truth; None without an interval or a right
+        """Whether the interval of a right cause holds the truth; None if there is no interval or no right
         cause."""
         if self.judgement != RIGHT or self.truth is None or self.low is None or self.high is None:
             return None
@@ -77,8 +77,8 @@ class OutputCause:
 class CauseOutcome:
     """Outcome of a found fault in the drive ``run`` from ``start_s`` [s] on.
 
-    ``after_s`` is the time from alarm to diagnosis [s], None without one. The module's docstring explains
-    ``uneven`` and ``preliminary``.
+    ``after_s`` is the time from alarm to diagnosis [s], None without a diagnosis. The module's docstring
+    explains ``uneven`` and ``preliminary``.
     """
 
     run: str
@@ -93,7 +93,7 @@ class CauseOutcome:
     def from_replay(
         cls, case: Case, project: Project, clock: JudgedClock, drive: Drive, faulty: Drive, replay: Replay
     ) -> CauseOutcome:
-        """Outcome of a ``case`` from the start of ``clock`` on; ``replay`` is that of the ``faulty``
+        """Outcome of a ``case`` from the start of ``clock`` on; ``replay`` is the replay of the ``faulty``
         drive."""
         start_s = clock.first * replay.Ts
         since = [d for d in replay.diagnoses if d.alarm_s >= start_s - replay.Ts / 2]
@@ -146,15 +146,15 @@ def _size(fault: Fault, j: int, share: float, Ts: float) -> float:
 
 
 def _uneven(y: np.ndarray) -> bool:
-    """Whether the halves (N, n_y) of an output's record differ by UNEVEN, in any output."""
+    """Whether the two halves of the record (N, n_y) differ by the ratio UNEVEN or more in any output."""
     edges = (0, len(y) // 2, len(y))
     sizes = np.array([np.sqrt(np.mean(y[a:b] ** 2, axis=0)) for a, b in pairwise(edges)])
     return bool((sizes.max(axis=0) >= UNEVEN * sizes.min(axis=0)).any())
 
 
 def can_be_named(fault: Fault, project: Project, scales: DiagnosisScales) -> bool:
-    """Return whether a fault with one cause exceeds, in some output, the difference between healthy vehicles.
-    No record, however long, names a smaller one (DiagnosisScales.least)."""
+    """Return whether a fault with one cause exceeds the difference between healthy vehicles in some output.
+    The core cannot name a smaller fault, however long the record is (DiagnosisScales.least)."""
     if fault.kind == "freeze":
         return True
     least = scales.least
@@ -170,10 +170,10 @@ CauseOutcomes = dict[Case, list[CauseOutcome]]
 
 
 def cause_table(outcomes: CauseOutcomes, project: Project, scales: DiagnosisScales | None) -> dict:
-    """JSON-able table, a row per case.
+    """Table of judgements as JSON, one row per case.
 
-    Sums are over known faults, over those of them that can be named, and over those without a single cause.
-    ``scales`` decide which can be named; None: unknown.
+    The sums count the known faults, the known faults that can be named, and the faults without a single
+    cause. ``scales`` decide which faults can be named; None means that this is unknown.
     """
     rows = [_row(case, members) for case, members in outcomes.items()]
     known = [m for case, members in outcomes.items() if true_cause(case.fault) is not None for m in members]
@@ -204,7 +204,7 @@ def _said_other(m: CauseOutcome) -> bool:
 
 
 def _counts(members: Iterable[CauseOutcome]) -> dict:
-    """Faults found, their judgements, the number of preliminary ones, intervals of right causes, and those
+    """Counts of found faults, judgements, preliminary diagnoses, intervals of right causes, and intervals
     that hold."""
     members = list(members)
     judged = Counter(m.judgement for m in members)
@@ -300,10 +300,10 @@ def cause_sentences(table: dict) -> list[str]:
     known, single = table["known"], table["no_single_cause"]
     large = table["can_be_named"]
     of_large = (
-        "of those larger than the difference of healthy vehicles: right "
+        "of the faults larger than the difference between healthy vehicles: right "
         f"{_share(large[RIGHT], large['found'])}, wrong {_share(large[WRONG], large['found'])}"
         if large
-        else "how much healthy vehicles differ is not known: no diagnosis in the identification"
+        else "the difference between healthy vehicles is unknown: the identification has no diagnosis"
     )
     return [
         f"right cause: {_share(known[RIGHT], known['found'])} of the faults found",

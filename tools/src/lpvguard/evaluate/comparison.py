@@ -1,7 +1,8 @@
-"""Tables and words of an evaluation, for terminal and page.
+"""Tables and sentences of an evaluation, for the terminal and the report page.
 
-The tables have a column per detector and a row per fault and way. The words say at which rate of false alarms
-the detectors are compared. The monitor is compared with each baseline alone, way by way (`duels`).
+The tables have one column per detector and one row per fault and way (step, ramp, start). A sentence states
+the rate of false alarms at which the detectors are compared. The function `duels` compares the monitor with
+each single baseline in each way.
 """
 
 from collections.abc import Mapping
@@ -12,15 +13,15 @@ from .detection import WAY_WORDS, median_time, ranking
 from .false_alarms import PIECE_S
 
 MONITOR = "monitor"
-"""Name of our detector, like the kinds of baselines.KINDS: all tests together, at one threshold."""
+"""Name of the monitor with all tests at one joint threshold, beside the kinds of baselines.KINDS."""
 POOLS = "pools"
 """Name of the frame test's pools, which have a threshold of their own."""
 LEFT_ONE_OUT, HELD_OUT = "left_one_out", "held_out"
-"""Judged drives: those of the identification, each without itself, or drives that it never saw."""
+"""Which drives are judged: those of the identification, each without itself, or drives that it never saw."""
 CALIBRATED = {LEFT_ONE_OUT: "each drive without itself", HELD_OUT: "drives that it never saw"}
 """Words for the drives that the thresholds judge."""
 TOGETHER = "all"
-"""Name that replaces a way: the starts of all ways, one row a fault."""
+"""Name of the rows that combine the starts of all ways, one row per fault."""
 EXPORTED = "exported"
 """All tests, each at its own threshold, as `lpvguard export` writes them."""
 COUNTS_ONLY = "counts only"
@@ -28,7 +29,7 @@ COUNTS_ONLY = "counts only"
 
 
 def equal_rates(stated: Mapping[str, float | None]) -> str:
-    """Word the comparison of detectors: their one rate, or counts only and the detector without a rate.
+    """State the rate of false alarms at which the detectors are compared, or that only counts are compared.
 
     Parameters
     ----------
@@ -50,12 +51,12 @@ def equal_rates(stated: Mapping[str, float | None]) -> str:
             f"{', '.join(missing)}"
         )
     (rate,) = set(stated.values())
-    return f"at one guaranteed rate: each alarms on a further drive with probability at most {rate:g}"
+    return f"at one guaranteed rate: each one alarms on a further drive with probability at most {rate:g}"
 
 
 @dataclass(frozen=True)
 class DetectorColumn:
-    """A detector in the table of detector_rows.
+    """A column (detector) of the table of detector_rows.
 
     Attributes
     ----------
@@ -90,7 +91,7 @@ def columns(evaluation: dict) -> dict[str, DetectorColumn]:
 
 
 def pieces_an_hour(alarms: dict) -> str:
-    """Alarmed pieces an hour of judged driving, of a FalseAlarms object; a dash without any."""
+    """Alarmed pieces per hour of judged driving, from a FalseAlarms object; a dash without judged driving."""
     return "–" if alarms["per_judged_h"] is None else f"{alarms['per_judged_h']:.2f}"
 
 
@@ -107,7 +108,7 @@ ALARM_HEAD = (
 
 
 def alarm_rows(evaluation: dict) -> list[list[str]]:
-    """Format the monitor's false alarms, a row per group of drivers.
+    """Format the monitor's false alarms, one row per group of drivers.
 
     Parameters
     ----------
@@ -132,7 +133,7 @@ def alarm_rows(evaluation: dict) -> list[list[str]]:
 
 
 def detector_rows(detectors: list[DetectorColumn], best: list[str] | None = None) -> list[list[str]]:
-    """Format false alarms and found faults, a column per detector.
+    """Format false alarms and found faults, one column per detector.
 
     Parameters
     ----------
@@ -194,7 +195,7 @@ def detector_rows(detectors: list[DetectorColumn], best: list[str] | None = None
 
 
 def row_name(row: dict) -> str:
-    """Name a row of fault_rows by way and fault.
+    """Name a row of fault_rows by its way and fault.
 
     Parameters
     ----------
@@ -212,7 +213,7 @@ REFUTABLE_HEAD = "refutable"
 
 
 def refutable_rows(detectors: list[DetectorColumn]) -> list[list[str]]:
-    """Format the found faults counted from when they are refutable.
+    """Format detection times that are counted from the instant at which a fault becomes refutable.
 
     A row has the number of starts, and per detector the number found and the median time. A negative time
     means an earlier alarm.
@@ -239,13 +240,13 @@ def refutable_rows(detectors: list[DetectorColumn]) -> list[list[str]]:
 
 
 def duels(monitor: list[dict], baselines: list[dict]) -> list[dict]:
-    """The monitor in comparison with each baseline alone, way by way, then for all ways together.
+    """Compare the monitor with each single baseline, for each way and for all ways together.
 
-    ``monitor`` holds rows of fault_rows, ``baselines`` objects of the JSON. Keys of the result:
+    ``monitor`` holds rows of fault_rows, ``baselines`` holds objects of the JSON. Keys of the result:
 
     leads       leader of a row (`ranking`): "monitor", the kind, "tie", or "nobody"
     as_often    rows on which the monitor found as many or more
-    sooner      rows on which its median is less; no median counts as later than any
+    sooner      rows on which its median is less; a missing median counts as the latest
     later       rows on which its median is more
     precluded   missed starts at which the untouched drive alarms in the time allowed
     behind      faults on which it found fewer, or found as many and later
@@ -262,7 +263,7 @@ def duels(monitor: list[dict], baselines: list[dict]) -> list[dict]:
 
 
 def _together(rows: list[dict]) -> list[dict]:
-    """One row a fault, with the starts of all its ways."""
+    """One row per fault, with the starts of all its ways."""
     faults: dict[str, list[dict]] = {}
     for row in rows:
         faults.setdefault(row["fault"], []).append(row)
@@ -279,7 +280,7 @@ def _together(rows: list[dict]) -> list[dict]:
 
 
 def _duel(way: str, kind: str, pairs: list[tuple[dict, dict]]) -> dict:
-    """One baseline in one way; ``pairs`` are the monitor's row and the baseline's, fault by fault."""
+    """Compare with one baseline in one way; ``pairs`` holds two rows per fault, the monitor's first."""
 
     def leads(monitor: dict, other: dict) -> str:
         first = ranking({MONITOR: monitor, kind: other})
@@ -313,7 +314,7 @@ def _duel(way: str, kind: str, pairs: list[tuple[dict, dict]]) -> dict:
 
 
 def _precluded(row: dict) -> int:
-    """Starts of a row of fault_rows that were missed and whose untouched drive alarms in the time allowed."""
+    """Missed starts of a row of fault_rows at which the untouched drive alarms in the time allowed."""
     return sum(c["s"] is None and c["untouched_s"] is not None for c in row["cases"])
 
 
@@ -333,10 +334,10 @@ DUEL_HEAD = (
 
 
 def duel_rows(evaluation: dict) -> list[list[str]]:
-    """Format the comparison of the monitor with each baseline, a row a way (`duels`).
+    """Format the comparison of the monitor with each baseline (`duels`), one row per way.
 
     A row counts the faults on which the monitor found as many or more, was sooner or later, leads or ties. It
-    names those on which it is behind, and counts precluded starts for both.
+    names the faults on which the monitor is behind, and counts precluded starts for both.
 
     Parameters
     ----------
@@ -365,13 +366,13 @@ def duel_rows(evaluation: dict) -> list[list[str]]:
 
 
 WAYS_HEAD = ("way", "runs")
-"""First columns of way_rows; a column per detector follows."""
+"""First columns of way_rows; one column per detector follows."""
 
 
 def way_rows(summary: dict) -> list[list[str]]:
-    """Format a campaign's faults that come in several ways.
+    """Format those faults of a campaign that begin in several ways.
 
-    A row has per detector the average found at calibrated and at matched thresholds, and the median time.
+    A row has for each detector the share found at calibrated and at matched thresholds, and the median time.
 
     Parameters
     ----------

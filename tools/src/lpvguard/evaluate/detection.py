@@ -1,27 +1,27 @@
-"""Faults injected into drives: their instants, the clock after them, and whether a detector found them.
+"""Inject faults into drives and decide whether a detector found them in time.
 
 **Faults** are those of an Injection, in three ways:
 
-    step    whole at once, from ``starts`` instants of each drive longer than ``shortest_s``
-    ramp    growing for ``ramp_s`` from the same instants, then whole
-    start   whole from the first sample of such a drive
+    step    full size at once, at ``starts`` instants of each drive longer than ``shortest_s``
+    ramp    growing for ``ramp_s`` from the same instants, then full size
+    start   full size from the first sample of such a drive
 
 The span from ``from_s`` to the last instant that leaves ``within_s`` of judged, excited driving is divided
-into equal parts, one an instant. One instant is drawn in each (reason: tools/DESIGN_LOG.md).
+into equal parts. One random instant is drawn in each part (reason: tools/DESIGN_LOG.md).
 
-**Time** runs in judged, excited, in-range driving from the first faulty sample on. The monitor's judged
-driving counts for all detectors, though a baseline may alarm outside it. The time of an alarm is the sample
-at which the core judged, not the end of its frame.
+**Time** counts judged, excited, in-range driving from the first faulty sample on. All detectors use the
+monitor's judged driving, though a baseline may alarm outside it. The time of an alarm is the sample at which
+the core judged, not the end of its frame.
 
-**Found**: the first alarm from the fault's start on comes within ``within_s``. It also comes before any alarm
-of the same detector on the untouched drive since that instant. An alarm that the untouched drive raises too
-does not count. An alarm that is present when the fault starts does not count. The table also states how often
-the untouched drive alarms in the time allowed.
+**Found**: the first alarm after the fault's start comes within ``within_s``. It also comes before the first
+alarm of the same detector on the untouched drive after that instant. An alarm that the detector also raises
+on the untouched drive does not count. An alarm that is already present when the fault starts does not count.
+The table also states how often the untouched drive alarms in the time allowed.
 
 **Refutable**: an injected fault is refutable from the first judged instant that meets two conditions. The
-off-line margin of the faulty record exceeds 1, and that of the untouched record does not (`margins`). A
+off-line margin of the faulty record exceeds 1, and the margin of the untouched record does not (`margins`). A
 detector that accepts everything within the bounds cannot find the fault earlier. Times are also counted from
-there. They are negative for an earlier alarm.
+this instant. They are negative for an earlier alarm.
 """
 
 from __future__ import annotations
@@ -38,19 +38,19 @@ from ..replay.replayer import Replay
 from ..vehicle.project import EvaluationSettings, Way
 
 WAY_WORDS: dict[Way, str] = {"step": "step", "ramp": "ramp", "start": "from the start"}
-"""Words for the way in which a fault begins."""
+"""Text for the way in which a fault begins."""
 
 
 @dataclass(frozen=True)
 class Case:
-    """An injection: ``fault`` in a ``way``; its ramp lasts ``ramp_s`` [s]."""
+    """An injected ``fault`` that begins in a ``way``; its ramp lasts ``ramp_s`` [s]."""
 
     way: Way
     fault: Fault
     ramp_s: float
 
     def into(self, drive: Drive, clock: JudgedClock, Ts: float, after_s: float = 0.0) -> Drive:
-        """The drive with the fault, cut ``after_s`` [s] after the last time at which it counts as found."""
+        """The drive with the fault, cut ``after_s`` [s] after the time allowed for finding it."""
         end = min(clock.end + round(after_s / Ts), len(drive.t))
         return inject(drive.before_sample(end), self.fault, clock.first * Ts, Ts, self.ramp_s)
 
@@ -79,22 +79,22 @@ class JudgedClock:
 
     @property
     def end(self) -> int:
-        """Number of samples up to the last at which a fault counts as found."""
+        """Number of samples up to the last one at which a fault counts as found."""
         return int(np.searchsorted(self.seconds, self.within_s * (1 + 1e-9), side="right"))
 
     def read(self, hits: np.ndarray) -> float | None:
-        """Reading [s] at the first True of ``hits`` (M,), M <= N, from ``first`` on; None without any."""
+        """Clock time [s] of the first True of ``hits`` (M,), M <= N, from ``first`` on, or None."""
         return self.read_after(hits[self.first :])
 
     def read_after(self, hits: np.ndarray) -> float | None:
-        """Reading [s] at the first True of ``hits`` (M,), which begin at ``first``; None without any."""
+        """Clock time [s] of the first True of ``hits`` (M,), which begins at ``first``, or None."""
         places = np.flatnonzero(hits)
         return float(self.seconds[self.first + places[0]]) if len(places) else None
 
 
 @dataclass(frozen=True)
 class Injection:
-    """Faults that are injected into drives, and their instants (the module's docstring).
+    """Settings of the injected faults and their instants (explained in the module's docstring).
 
     Attributes
     ----------
@@ -103,7 +103,7 @@ class Injection:
     faults : tuple[Fault, ...]
     ways : tuple[Way, ...]
     ramp_s : float, s
-    further : tuple of Fault, injected at once, for their causes only (causes.py)
+    further : tuple of Fault, injected as steps, to check their causes only (causes.py)
     """
 
     from_s: float
@@ -117,12 +117,12 @@ class Injection:
 
     @classmethod
     def usual(cls) -> Injection:
-        """Defaults of the settings, with a bias of 0.05."""
+        """Injection with the default settings and a bias of 0.05."""
         return cls.from_settings(EvaluationSettings(bias=0.05), np.zeros(0))
 
     @classmethod
     def from_settings(cls, settings: EvaluationSettings, spread: np.ndarray) -> Injection:
-        """Injection of a project file's settings; ``spread`` (n_y,) is that of the outputs.
+        """Injection from a project file's settings and the outputs' ``spread`` (n_y,).
 
         Without a spread there are no further faults.
         """
@@ -132,14 +132,14 @@ class Injection:
         return cls(*times, settings.starts, faults, settings.ways, settings.ramp_s, further)
 
     def to_dict(self) -> dict:
-        """Times, number of starts and ways, JSON-able."""
+        """Times, number of starts and ways as JSON."""
         return {k: v for k, v in vars(self).items() if k not in ("faults", "further")} | {
             "ways": list(self.ways)
         }
 
     @property
     def cases(self) -> list[Case]:
-        """Every fault in every way, way by way."""
+        """Every fault in every way, sorted by way."""
         ramps = {"ramp": self.ramp_s}
         return [Case(way, fault, ramps.get(way, 0.0)) for way in self.ways for fault in self.faults]
 
@@ -149,14 +149,14 @@ class Injection:
         return [Case("step", fault, 0.0) for fault in self.further]
 
     def into(self, untouched: Replay, seed: int) -> Iterator[tuple[Case, JudgedClock]]:
-        """Every case with the clock of each instant in a drive; none where the drive does not qualify."""
+        """Every case with the clock of each instant in a drive; empty if the drive does not qualify."""
         clocks = self.clocks(untouched, seed)
         whole = [JudgedClock.from_replay(untouched, 0, self.within_s)] if clocks else []
         for case in self.cases:
             yield from ((case, clock) for clock in (whole if case.way == "start" else clocks))
 
     def clocks(self, untouched: Replay, seed: int) -> list[JudgedClock]:
-        """Clocks of all instants in a drive but its start; none where the drive does not qualify."""
+        """Clocks of all instants in a drive except its start; empty if the drive does not qualify."""
         if untouched.duration_s <= self.shortest_s:
             return []
         earliest = round(self.from_s / untouched.Ts)
@@ -164,7 +164,7 @@ class Injection:
         latest = int(np.searchsorted(seconds, seconds[-1] - self.within_s, side="right"))
         if seconds[-1] < self.within_s:
             return []
-        # A stream of random numbers for each drive: the other drives make no difference.
+        # Each drive has its own random numbers, so they do not depend on the other drives.
         random = np.random.default_rng([seed, zlib.crc32(untouched.name.encode())])
         spans = (np.arange(self.starts) + random.uniform(size=self.starts)) / self.starts
         firsts = earliest + spans * max(0, latest - earliest)
@@ -175,9 +175,9 @@ class Injection:
 class FaultOutcome:
     """Outcome of a fault in the drive ``run`` from ``start_s`` [s] on.
 
-    All times are judged, excited seconds, or None for none in the time allowed. ``s`` is the time until it
-    was found, ``untouched_s`` that of an alarm without the fault, and ``refutable_s`` that until it was
-    refutable.
+    All times are judged, excited seconds, or None if the event does not occur in the time allowed. ``s`` is
+    the time until the fault was found. ``untouched_s`` is the time until an alarm without the fault, and
+    ``refutable_s`` the time until the fault was refutable.
     """
 
     run: str
@@ -196,7 +196,7 @@ class FaultOutcome:
         untouched: float | None,
         refutable_s: float | None = None,
     ) -> FaultOutcome:
-        """Outcome of a fault from the start of ``clock`` on, in a drive of samples at ``Ts`` [s].
+        """Outcome of a fault from the start of ``clock`` on, in a drive with sample time ``Ts`` [s].
 
         ``s``, ``untouched``: the clock [s] at the detector's first alarm with and without the fault, or None.
         ``refutable_s`` is the result of `refutable`.
@@ -220,7 +220,7 @@ class FaultOutcome:
 def margins(replay: Replay, first_s: float) -> np.ndarray:
     """Off-line margin (N,) at each sample; 0 where nothing is judged.
 
-    It is the larger of the energy test's ratio and the largest t* of the counted frames that end there.
+    It is the maximum of the energy test's ratio and of t* of all counted frames that end at the sample.
     ``first_s`` is the time of the drive's first sample [s].
     """
     frames, largest = replay.run.frames, replay.run.energy.copy()
@@ -230,9 +230,10 @@ def margins(replay: Replay, first_s: float) -> np.ndarray:
 
 
 def refutable(clock: JudgedClock, faulty: np.ndarray, untouched: np.ndarray) -> float | None:
-    """The clock [s] when an injected fault is first refutable, None: not in the time allowed.
+    """Clock time [s] at which an injected fault is first refutable; None if not in the time allowed.
 
-    ``faulty`` (M,), M <= N, and ``untouched`` (N,) are `margins` of the records with and without it.
+    ``faulty`` (M,), M <= N, and ``untouched`` (N,) are the `margins` of the records with and without the
+    fault.
     """
     n = min(clock.end, len(faulty))
     return clock.read((faulty[:n] > 1.0) & (untouched[:n] <= 1.0))
@@ -243,7 +244,7 @@ Outcomes = dict[Case, list[FaultOutcome]]
 
 
 def with_refutable(cases: Outcomes, known: Outcomes) -> Outcomes:
-    """The ``cases`` of a detector with the refutable times of the ``known`` ones."""
+    """A detector's ``cases`` with the refutable times of the ``known`` outcomes."""
     at = {(case, c.run, c.start_s): c.refutable_s for case, members in known.items() for c in members}
     return {
         case: [replace(c, refutable_s=at[case, c.run, c.start_s]) for c in members]
@@ -252,11 +253,12 @@ def with_refutable(cases: Outcomes, known: Outcomes) -> Outcomes:
 
 
 def fault_rows(cases: Outcomes) -> list[dict]:
-    """A row per case, in the order of ``cases``.
+    """One row per case, in the order of ``cases``.
 
-    It has the outcomes found and all, the drives and those with the fault found from every start. It also has
-    the outcomes whose untouched drive alarms in the time allowed, and the median time [s]. For refutable ones
-    it has their number, those found, and the median time from then on [s].
+    A row counts found and all outcomes, all drives, and the drives with the fault found from every start. It
+    counts the outcomes whose untouched drive alarms in the time allowed, and has the median time [s]. It
+    counts the refutable outcomes and the found ones among them, and has their median time after that instant
+    [s].
     """
     rows = []
     for case, members in cases.items():
@@ -282,7 +284,7 @@ def fault_rows(cases: Outcomes) -> list[dict]:
 
 
 def median_time(seconds: list[float | None]) -> float | None:
-    """Compute the median time to the first alarm; a miss counts as later than all.
+    """Compute the median time to the first alarm; a miss counts as the latest time.
 
     Parameters
     ----------
@@ -290,7 +292,7 @@ def median_time(seconds: list[float | None]) -> float | None:
 
     Returns
     -------
-    float, s, or None if at least half are misses or there is none
+    float, s, or None if there are no times or at least half of them are misses
     """
     if not seconds:
         return None
@@ -299,10 +301,10 @@ def median_time(seconds: list[float | None]) -> float | None:
 
 
 def ranking(rows: dict[str, dict]) -> list[str]:
-    """Detectors that do best on one fault, all that tie.
+    """Best detectors on one fault; several in a tie.
 
-    The share of cases in which each found it counts first, then the median time. The result is empty where
-    there is no case, or where no detector found one. ``rows`` holds a row of fault_rows per detector.
+    The share of found cases decides first, then the median time. The result is empty if there is no case or
+    no detector found the fault. ``rows`` holds one row of fault_rows per detector.
     """
 
     def merit(row: dict) -> tuple[float, float]:

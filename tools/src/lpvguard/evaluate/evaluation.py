@@ -1,14 +1,14 @@
-"""`lpvguard evaluate`: the monitor, its tests and five baselines on drives that did not set the bounds.
+"""`lpvguard evaluate`: compare the monitor and five baselines on drives that did not set the bounds.
 
-Every drive runs through the compiled core. One drive of the identification is left out at a time (THEORY
-7.3). Its thresholds are calibrated on all *other* drives that did not set the bounds. Drives that the
+The compiled core processes every drive. One drive of the identification is left out at a time (THEORY 7.3).
+Thresholds for this drive come from all *other* drives that did not set the bounds. Drives that the
 identification never saw are judged with its stored thresholds (judged_drives.py).
 
-The monitor is compared with all tests at one threshold, calibrated jointly (calibration.joint_scores). It
-alarms by any test on a further drive with probability at most alpha, as a baseline does. The table also has
-each test alone at alpha, and all as exported: each at its own threshold, together at most three times alpha.
-Where fewer drives calibrate than alpha needs, no rate is stated, and the detectors are compared by counts
-only (`stated_rates`).
+The monitor is compared with all tests at one threshold, calibrated jointly (calibration.joint_scores). Any of
+its tests alarms on a further drive with probability at most alpha, like a baseline. The table also has each
+test alone at alpha. It also has the tests as exported, each at its own threshold, with at most three times
+alpha in total. If fewer drives calibrate than alpha needs, no rate is stated. The detectors are then compared
+by counts only (`stated_rates`).
 
 The module ``false_alarms.py`` defines false alarms, ``detection.py`` defines found faults, and
 ``baseline_study.py`` tunes the baselines.
@@ -46,7 +46,7 @@ from .judged_drives import FLOORS, JudgedDrives, calibrations_of, joint_threshol
 from .parts import Names, name_after, part_table
 
 FEWEST_FOR_BASELINES = 2
-"""Fewest calibration drives: a baseline has no natural threshold, so one must remain when a drive is left
+"""Fewest calibration drives: a baseline has no default threshold, so one must remain if a drive is left
 out."""
 
 
@@ -60,7 +60,7 @@ def _evaluate_drive(
     injection: Injection,
     item: tuple[Experiment, Recordings, dict[str, Calibration], np.ndarray | None],
 ) -> tuple[dict, Found, CauseOutcomes, Names]:
-    """Row of one drive, outcomes per detector and case, and the causes and parts that EXPORTED names.
+    """Row of one drive, outcomes per detector and case, and causes and parts from the exported tests.
 
     Recordings and calibrations are the drive's own. A drive without qualified stretches has no outcomes.
     """
@@ -120,7 +120,7 @@ def _evaluate_drive(
 def _replayers(
     project: Project, core: Core, calibrations: dict[str, Calibration], pool_scale: np.ndarray | None
 ) -> list[Replayer]:
-    """Replayers with the joint threshold, and with one a test; ``pool_scale`` is that of a ratio of 1."""
+    """Replayers with the joint and with one threshold per test; ``pool_scale`` gives a ratio of 1."""
     thresholds = {what: c.threshold for what, c in calibrations.items()}
     # The core compares a pool with the threshold of frames.
     unit = thresholds["frame"] / thresholds.get(POOLS, thresholds["frame"])
@@ -168,7 +168,7 @@ def _further_causes(
 
 
 def _drive_scores(replay: Replay) -> dict[str, float | None]:
-    """Scores of a drive: a detector alarms if they exceed its threshold. None where it did not judge."""
+    """Scores of a drive; a detector alarms if its score exceeds its threshold. None if it did not judge."""
     tests = {
         "frame": score(replay.run),
         "energy": energy_score(replay.run),
@@ -179,7 +179,7 @@ def _drive_scores(replay: Replay) -> dict[str, float | None]:
 
 
 def _stated(c: Calibration) -> dict:
-    """Statement of a calibration in the row of a drive."""
+    """What a calibration guarantees, for the row of a drive."""
     return {
         "threshold": c.threshold,
         "drives": len(c.scores),
@@ -204,8 +204,8 @@ def _variance(reader: DriveReader, experiment: Experiment) -> np.ndarray:
 def _injection(
     stored: StoredIdentification, drives: DriveSet, settings: EvaluationSettings | None, workers: Map
 ) -> Injection:
-    """Injection of the settings, scaled by the outputs' spread in bound-setting drives; by default the
-    usual one."""
+    """Injection from the settings (by default the usual ones) and the outputs' spread in bound-setting
+    drives."""
     if settings is None:
         return Injection.usual()
     setting = [drives.experiments[n] for n in stored.manifest["drives"]["bounds"]]
@@ -214,7 +214,7 @@ def _injection(
 
 
 def one_rate(alphas: Iterable[float | None]) -> float | None:
-    """Common alpha of a detector's calibrations, one for each drive left out; None where any states none."""
+    """Common alpha of a detector's calibrations, one per left-out drive; None if one states no rate."""
     distinct = set(alphas)
     return None if None in distinct else distinct.pop()
 
@@ -225,9 +225,9 @@ def _false_alarms(detector: str, rows: list[dict]) -> dict:
 
 
 def _stated_rates(rows: list[dict], baselines: list[dict], scored: Iterable[str]) -> dict[str, float | None]:
-    """Stated rate of false alarms on a further drive per detector; None: counts only.
+    """Stated rate of false alarms on a further drive, per detector; None means counts only.
 
-    The tests as exported have at most the sum of their rates.
+    The exported tests together have at most the sum of their rates.
     """
     stated = {what: one_rate(r["calibration"][what]["alpha"] for r in rows) for what in scored}
     tests = [test for test in scored if test != MONITOR]
@@ -255,8 +255,8 @@ def evaluate(
     stored : StoredIdentification
     drives : DriveSet, the identification's drives
     core : Core
-    held_out : list of Experiment, optional, judged instead (judged.drives_to_judge)
-    settings : EvaluationSettings, optional, of the faults, by default the usual ones
+    held_out : list of Experiment, optional, judged instead (judged_drives.drives_to_judge)
+    settings : EvaluationSettings, optional, for the injected faults, by default the usual ones
     workers : Map
     progress : Callable, reports progress
 
@@ -328,7 +328,7 @@ def _baselines(
     workers: Map,
     progress: Callable[[str], None],
 ) -> list[dict]:
-    """Baselines on the judged drives of ``rows``; none where too few drives calibrate."""
+    """Results of the baselines on the judged drives of ``rows``; empty if too few drives calibrate."""
     alone = judged.mode == LEFT_ONE_OUT
     if len(stored.calibration.scores) < FEWEST_FOR_BASELINES - (not alone):
         return []
@@ -353,7 +353,7 @@ def _table(
     baselines: list[dict],
     injection: Injection,
 ) -> dict:
-    """Object of `lpvguard evaluate --json` from the drives' rows, the monitor's cases and the baselines'."""
+    """JSON object of `lpvguard evaluate` from rows of drives and cases of monitor and baselines."""
     tests = calibrations_of(stored)
     scored = (MONITOR, *tests)
     groups = {"all": rows} | {

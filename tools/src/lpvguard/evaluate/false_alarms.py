@@ -1,10 +1,10 @@
-"""False alarms of a detector on drives without a fault: in pieces of 60 s, in drives and in recordings.
+"""Count false alarms of a detector on drives without a fault, by 60 s piece, drive and recording.
 
 Every second of a drive counts, judged or not. A drive's last piece may be shorter. Rates are stated per
 recording and per hour of the monitor's judged driving, for all detectors. Exact intervals (rates.py) are over
-recordings, because alarms of one recording depend on each other. They hold for drives that are judged by one
-calibration. Where each drive is judged by the others, the drives share what calibrates. At a stated alpha no
-more than a share alpha of them can then alarm, whatever the test (THEORY 7.3).
+recordings, because alarms of one recording depend on each other. The intervals hold if one calibration judges
+all drives. In leave-one-out, the drives share their calibration data. At a stated alpha at most a share alpha
+of these drives can then alarm, whatever the test (THEORY 7.3).
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ PIECE_S = 60.0
 
 @dataclass(frozen=True)
 class FalseAlarms:
-    """False alarms by 60 s pieces, drives and recordings. The shorter last piece of a drive counts too.
+    """False alarms by 60 s piece, drive and recording. The shorter last piece of a drive counts too.
 
     Attributes
     ----------
@@ -63,7 +63,7 @@ class FalseAlarms:
 
 
 def false_alarms(counts: list[tuple[int, int]], rows: list[dict]) -> dict:
-    """FalseAlarms object from (alarmed, all) pieces of each of the drives' ``rows``."""
+    """FalseAlarms object from the (alarmed, all) pieces in each drive's row."""
     return vars(
         FalseAlarms.from_counts(counts, [r["judged_s"] for r in rows], [r["recording"] for r in rows])
     )
@@ -72,7 +72,7 @@ def false_alarms(counts: list[tuple[int, int]], rows: list[dict]) -> dict:
 def alarming(replay: Replay, test: str | None = None) -> np.ndarray:
     """Mark the samples at which a test contradicts the model.
 
-    A falsifying frame marks the sample of its judgement. The energy and the change test mark all samples
+    A falsifying frame marks the sample at which it is judged. The energy and the change test mark all samples
     above their threshold.
 
     Parameters
@@ -102,6 +102,6 @@ def piece_starts(samples: int, Ts: float) -> np.ndarray:
 
 
 def alarmed_pieces(replay: Replay, test: str | None = None) -> tuple[int, int]:
-    """(alarmed, all) 60 s pieces of a drive, by a test (None: any)."""
+    """Number of (alarmed, all) 60 s pieces of a drive, by a test; None means by any test."""
     starts = piece_starts(len(replay.judged), replay.Ts)
     return int(np.logical_or.reduceat(alarming(replay, test), starts).sum()), len(starts)

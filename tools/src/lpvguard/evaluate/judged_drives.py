@@ -1,10 +1,11 @@
-"""Judged drives and the calibrations that judge them.
+"""Choose the drives to judge and the calibrations that judge them.
 
-Judged is each drive of the identification without itself, or drives that the identification never saw. These
-are judged by its stored calibration. A drive of a group is judged with the threshold of that group, if any.
+Either each drive of the identification is judged without itself, or held-out drives are judged. The stored
+calibration judges held-out drives; they calibrate nothing. A drive of a group is judged with the threshold of
+that group, if there is one.
 
-Held-out drives calibrate nothing. Tables that set bounds or noise, or that calibrated, are refused by their
-bytes. Other pieces of such a recording are refused, too.
+A held-out table with the bytes of a table that set bounds or noise, or that calibrated, is refused. Other
+pieces of its recording are also refused.
 """
 
 from __future__ import annotations
@@ -25,16 +26,16 @@ from ..identify.identification import DriveSet, StoredIdentification
 from .comparison import HELD_OUT, LEFT_ONE_OUT, MONITOR, POOLS
 
 FLOORS = {"frame": 1.0, "energy": 1.0 + ROUNDING, "change": FLOOR, POOLS: 1.0}
-"""Least threshold of each test."""
+"""Smallest threshold of each test."""
 SAW = {"bounds": "set the bounds", "calibration": "calibrated", "noise": "set the noise"}
 """Use of a group of drives in the identification."""
 
 
 @dataclass(frozen=True)
 class JudgedDrives:
-    """Drives by name, the calibrations of MONITOR and each test that judge them, and their recordings.
+    """Drives by name, their recordings, and the calibrations that judge them.
 
-    ``pool_scale`` (K, n_y) by drive is that of pools without its recording, None without pools. ``mode`` is
+    ``pool_scale`` (K, n_y) of a drive scales the pools without its recording; None without pools. ``mode`` is
     LEFT_ONE_OUT or HELD_OUT. ``rule`` describes the calibrating drives.
     """
 
@@ -47,13 +48,13 @@ class JudgedDrives:
 
     @classmethod
     def left_one_out(cls, stored: StoredIdentification, drives: DriveSet) -> JudgedDrives:
-        """Every calibration drive, judged by all drives of other recordings. InputError where none has a
+        """Judge every calibration drive by all drives of other recordings. InputError if none has a counted
         frame."""
         if not stored.calibration.scores:
             raise InputError(
                 stored.folder,
                 "drives",
-                "no frame counts in a drive that calibrates: none is left to evaluate",
+                "no calibration drive has a counted frame, so no drive is left to evaluate",
                 "at least one drive whose "
                 f"split is not {' or '.join(stored.project.data.bound_split)} and in which a frame counts",
             )
@@ -72,7 +73,7 @@ class JudgedDrives:
 
     @classmethod
     def held_out(cls, stored: StoredIdentification, experiments: list[Experiment]) -> JudgedDrives:
-        """Drives that the identification never saw, judged by its stored calibration."""
+        """Judge drives that the identification never saw by its stored calibration."""
         together = _calibrations(stored, None)[MONITOR]
         as_stored = {MONITOR: together, **calibrations_of(stored)}
         return cls(
@@ -86,7 +87,7 @@ class JudgedDrives:
 
 
 def rate_of(judged: JudgedDrives, stored: StoredIdentification) -> dict | None:
-    """Target of the rate, and the least hours that a judging threshold is extrapolated from; None: none."""
+    """Target rate and the least hours that a threshold is extrapolated from; None without a target."""
     target = stored.project.frame_test.alarms_per_1000_h
     if target is None:
         return None
@@ -96,7 +97,7 @@ def rate_of(judged: JudgedDrives, stored: StoredIdentification) -> dict | None:
 
 
 def joint_thresholds(joint: float) -> list[float]:
-    """Thresholds of each of TESTS under one ``joint`` threshold: none alarms below its floor."""
+    """Threshold of each test under one ``joint`` threshold, at least the test's floor."""
     return [max(joint, FLOORS[test]) for test in TESTS]
 
 
@@ -106,7 +107,7 @@ def _of_group(calibrations: dict[str, Calibration], group: str | None) -> dict[s
 
 
 def _calibrations(stored: StoredIdentification, without: str | None) -> dict[str, Calibration]:
-    """Calibrations of MONITOR and each test by all calibration drives but the recording of ``without``."""
+    """Calibrations of the monitor and each test on all calibration drives but those of ``without``."""
     scores = {test: c.scores for test, c in calibrations_of(stored).items()}
     if stored.pools is not None:
         scores[POOLS] = stored.pools.scores(without)
@@ -149,11 +150,11 @@ def calibrations_of(stored: StoredIdentification) -> dict[str, Calibration]:
     Raises
     ------
     InputError
-        If there is the frame test only: with frames of the plain DFT.
+        If there is only the frame test, as with frames of the plain DFT.
     """
     if stored.energy is None or stored.change is None:
         raise InputError(
-            stored.folder, "energy", "no energy test was identified", "an identification with Hann frames"
+            stored.folder, "energy", "there is no energy test", "an identification with Hann frames"
         )
     calibrations = {
         "frame": stored.calibration,
@@ -178,7 +179,7 @@ def drives_to_judge(stored: StoredIdentification, folders: Iterable[Path]) -> li
     Raises
     ------
     InputError
-        If it saw one or a piece of the same recording, or a name or table occurs twice.
+        If the identification saw a drive or a piece of its recording, or if a name or table occurs twice.
     """
     experiments: dict[str, Experiment] = {}
     for e in (e for folder in folders for e in list_experiments(folder)):

@@ -1,8 +1,8 @@
-"""Parts that windows name after injected faults, and on untouched drives (THEORY 7.21).
+"""Count the vehicle parts that windows name after injected faults and on untouched drives (THEORY 7.21).
 
-The faults of `evaluate` act on all outputs at once, or on the input. A part is no truth of theirs, so names
-are counted and not judged; ``bench isolation`` judges them. The scales come from all drives, those judged
-included.
+The faults of `evaluate` act on all outputs at once, or on the input. These faults have no true part, so the
+names are counted and not judged. ``bench isolation`` judges names. The scales come from all drives, including
+the judged ones.
 """
 
 from __future__ import annotations
@@ -14,12 +14,12 @@ from ..replay.replayer import Replay
 from .detection import WAY_WORDS, Case
 
 Names = dict[Case | None, list[str]]
-"""Names by case; None is the untouched drive."""
+"""Names of parts by case; the key None is the untouched drive."""
 NOTHING, NO_SINGLE = "none", "no single part"
 
 
 def name_after(replay: Replay, start_s: float) -> str:
-    """Name the first part that a window finds after a time.
+    """Return the first part that a window names after a time.
 
     Parameters
     ----------
@@ -37,7 +37,7 @@ def name_after(replay: Replay, start_s: float) -> str:
 
 
 def part_table(names: Iterable[Names]) -> list[dict]:
-    """Count names by fault and way, the untouched drives first.
+    """Count the named parts by fault and way; the untouched drives come first.
 
     Parameters
     ----------
@@ -63,7 +63,7 @@ def part_table(names: Iterable[Names]) -> list[dict]:
 
 
 def part_lines(rows: list[dict]) -> Iterator[str]:
-    """Word the rows of `part_table`.
+    """Format the rows of `part_table` as sentences.
 
     Parameters
     ----------

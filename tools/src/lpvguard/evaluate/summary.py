@@ -1,17 +1,17 @@
-"""An evaluation in at most ten lines: alarms an hour, what is found and missed, the best baseline."""
+"""Summarise an evaluation in at most ten lines: alarms per hour, found and missed faults, best baseline."""
 
 from typing import Any
 
 from .comparison import MONITOR, TOGETHER, row_name
 
 ALWAYS, NEVER = 0.95, 0.05
-"""From this share of its starts a fault counts as found; up to this one as missed."""
+"""A fault counts as found from the first share of its starts on, and as missed up to the second."""
 NAMED = 6
-"""So many faults a line names."""
+"""Largest number of faults that one line names."""
 
 
 def summary(evaluation: dict[str, Any]) -> list[str]:
-    """Say what an evaluation found.
+    """Summarise what an evaluation found.
 
     Parameters
     ----------
@@ -51,18 +51,18 @@ def _first(names: list[str]) -> str:
 
 
 def _alarms(evaluation: dict[str, Any]) -> str:
-    """Alarms an hour without a fault: promised, then measured."""
+    """Promised and measured alarms per hour without a fault."""
     counts = evaluation["false_alarms"]["all"]
     stated, hours = evaluation["stated_rates"][MONITOR], counts["judged_h"]
-    promised = "nothing is promised, too few drives calibrate"
+    promised = "no rate is promised, because too few drives calibrate"
     if stated is not None and hours:
-        promised = f"at most {stated * counts['recordings']['of'] / hours:.3g} an hour judged are promised"
+        promised = f"promised at most {stated * counts['recordings']['of'] / hours:.3g} per judged hour"
     if target := evaluation.get("rate"):
-        promised = f"{target['per_1000_h']:g} per 1000 h judged are promised"
+        promised = f"promised {target['per_1000_h']:g} per 1000 judged hours"
         if target["extrapolated_from_h"] is not None:
             promised += f", extrapolated from {target['extrapolated_from_h']:.3g} hours"
     rate = counts["recordings_per_judged_h"]
-    measured = "none is measured, nothing is judged"
+    measured = "no rate is measured, because nothing is judged"
     if hours:
         low, high = rate["interval"]
         measured = f"{rate['rate']:.3g} measured (95 %: {low:.2g} to {high:.3g})"
@@ -71,7 +71,7 @@ def _alarms(evaluation: dict[str, Any]) -> str:
 
 
 def _baseline(evaluation: dict[str, Any]) -> str:
-    """The monitor beside the baseline that finds most."""
+    """The monitor compared with the baseline that finds most."""
     duels = evaluation["duels"]
     whole = [d for d in duels if d["way"] == TOGETHER] or duels
     if not whole:

@@ -1,4 +1,4 @@
-"""Recorded data through the compiled core.
+"""Replay of recorded data through the compiled core.
 
 In: drive tables, or raw CAN logs through the core's own receiver. Out: verdicts, judged frames and alarms of
 a drive.

@@ -1,4 +1,4 @@
-"""Sentences about alarms."""
+"""Describe alarms in sentences."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ if TYPE_CHECKING:
 
 
 def alarm_sentence(alarm: Alarm | dict[str, Any]) -> str:
-    """Word an alarm: test, place, margin and the broken bound.
+    """Describe an alarm in one line: test, place, margin and the violated bound.
 
     Parameters
     ----------
@@ -50,7 +50,7 @@ def alarm_sentence(alarm: Alarm | dict[str, Any]) -> str:
 
 
 def _attributed(a: dict[str, Any]) -> str:
-    """Continuation: the set that the vehicle left, and whether one without response would have, too."""
+    """End of the line: the set that the vehicle left, or that the disturbance exceeded its bound."""
     left = "certificate" if a["verdict"] == "invalid" else "healthy set"
     return f"; beyond the {left}" + ("; disturbance beyond its bound" if a["beyond"] == "disturbance" else "")
 

@@ -1,4 +1,4 @@
-"""Causes of alarms that the core found, as numbers and in words."""
+"""Causes that the core found for alarms, as numbers and as text."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -18,12 +18,13 @@ class Diagnosis:
     t_s, alarm_s : float, s from the drive's start, time of the diagnosis and of the alarm
     output, cause : str
     value : float or None
-        A factor for gain and sign, s for delay, the output unit for bias, frozen mean and noise deviation.
+        A factor for gain and sign, s for delay, the output unit for bias, frozen mean and standard deviation
+        of noise.
     low, high : float or None, ends of its 95 % interval, in the same unit
     since_s : float, s, the onset
     at_least : bool, the onset may be earlier
-    final : bool, from the whole record; otherwise from its first half, and a later diagnosis replaces it
-    says : str, all of it in words
+    final : bool, from the whole record; otherwise from its first half, until a later diagnosis replaces it
+    says : str, the whole diagnosis as text
     """
 
     t_s: float
@@ -51,7 +52,7 @@ def diagnosed(
     at_least: bool,
     final: bool = True,
 ) -> Diagnosis:
-    """Put the core's diagnosis of an output into words.
+    """Convert the core's diagnosis of an output to a Diagnosis with text.
 
     Parameters
     ----------
@@ -91,7 +92,7 @@ def diagnosed(
 def cause_sentence(
     name: str, unit: str, cause: str, numbers: Sequence[float], since_s: float, at_least: bool
 ) -> str:
-    """Word a cause of an output: value, 95 % interval and onset.
+    """Describe a cause in an output: value, 95 % interval and onset.
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
-"""Time series of a replay as JSON messages, for MCAP files and Foxglove's WebSocket. Three topics:
+"""Convert the time series of a replay to JSON messages for MCAP files and Foxglove. There are three topics:
 
-/lpvguard/sample   a row of the series without margins: numbers and the verdict; null values are left out
-/lpvguard/margin   a counted frame at the time of its judgement: rad_s of its bin, and t* as margin
+/lpvguard/sample   one row of the series without margins: numbers and the verdict; null values are left out
+/lpvguard/margin   one counted frame at the time of its judgement: rad_s of its bin, and t* as margin
 /lpvguard/alarm    foxglove.Log: the alarm's sentence
 """
 
@@ -22,7 +22,7 @@ WARNING = 3
 
 @dataclass(frozen=True)
 class SeriesMessage:
-    """A message: time ``t_ns`` of the series [ns], ``topic`` of ``schemas``, JSON ``content``."""
+    """A message: time ``t_ns`` in the series [ns], a ``topic`` of ``schemas``, JSON ``content``."""
 
     t_ns: int
     topic: str
@@ -102,7 +102,7 @@ def messages(
 
 
 def _log(t_s: float, name: str, text: str) -> SeriesMessage:
-    """A line of the alarms' topic."""
+    """A message of the alarm topic."""
     t = round(t_s * 1e9)
     stamp = {"sec": t // 10**9, "nsec": t % 10**9}
     log = {"timestamp": stamp, "level": WARNING, "message": text, "name": name, "file": "", "line": 0}

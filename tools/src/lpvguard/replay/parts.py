@@ -1,4 +1,4 @@
-"""The part that an alarm is about, by redundant outputs (THEORY 7.21)."""
+"""Find the part that caused an alarm, by redundant outputs (THEORY 7.21)."""
 
 from __future__ import annotations
 
@@ -19,27 +19,27 @@ from ..vehicle.nominal import NominalModel
 from ..vehicle.project import Project
 
 NOW = 0.3
-"""Share of a fault's usual size (identify/isolation.py) above which the part wants service now."""
+"""Share of a fault's usual size (identify/isolation.py) above which the part needs service now."""
 SHORTEST = 0.5
-"""Share of a window that one before the next alarm, or at the end, must last."""
+"""Least length of a shortened window (before the next alarm or at the end), as a share of a full one."""
 
 
 @dataclass(frozen=True)
 class NamedPart:
-    """Parts that differ in a window of a drive.
+    """Parts that differ from the model in a window of a drive.
 
     Attributes
     ----------
     from_s, until_s : float, s from the drive's start, of the window
     alarm_s : float or None, s, of the alarm that began the window
     since_s : float, s, the onset, or the alarm
-    parts : tuple of str, one part, or those of which it is one; empty where no single part explains it
+    parts : tuple of str, the part or the candidates; empty if no single part explains the difference
     probability : dict[str, float], by part
-    what : str, the size of the likeliest part in words
-    value, low, high : float or None, that size and its 95 % interval
+    what : str, description of the size of the likeliest part
+    value, low, high : float or None, size of the likeliest part and its 95 % interval
     unit : str
     service : str or None, "now" or "later"; None without a single part
-    says : str, all of it in words, what to check and what to do
+    says : str, the result as text, with what to check and what to do
     """
 
     from_s: float
@@ -91,7 +91,7 @@ class PartNamer:
 
     @classmethod
     def beside(cls, project: Project, folder: Path) -> PartNamer | None:
-        """The namer of a generated folder; None where nothing names parts."""
+        """Load the PartNamer of a generated folder; None if the vehicle has no isolation."""
         path = folder / ISOLATION
         if project.isolation is None or not path.is_file():
             return None
@@ -100,16 +100,16 @@ class PartNamer:
 
     @cached_property
     def changes(self) -> Changes:
-        """Simulated changes of the parts."""
+        """Simulated changes (faults) of the parts."""
         return Changes(self.project, NominalModel(self.project))
 
     def named(
         self, drive: Drive, alarms_s: Sequence[float], onsets_s: Sequence[tuple[float, float]] = ()
     ) -> Iterator[NamedPart]:
-        """Parts in successive windows of a drive. An alarm begins a new window.
+        """Yield the parts in successive windows of a drive. Each alarm begins a new window.
 
-        ``alarms_s``: times of the alarms after the drive's first sample [s], rising. ``onsets_s``: times of
-        alarms and of their onsets.
+        ``alarms_s``: increasing times of the alarms after the drive's first sample [s]. ``onsets_s``: pairs
+        of the time of an alarm and the time of its onset.
         """
         start, alarm_s = 0.0, None
         while start < drive.duration_s:
@@ -118,7 +118,7 @@ class PartNamer:
             start, alarm_s = end, end if end in alarms_s else None
 
     def end(self, start: float, alarm_s: float | None, alarms_s: Sequence[float]) -> float:
-        """End [s] of the window that begins at ``start``, with an alarm or without."""
+        """End [s] of the window that begins at ``start``, with or without an alarm."""
         end = start + self.isolation.window_s
         return min((a for a in alarms_s if start < a < end and alarm_s is None), default=end)
 
@@ -131,7 +131,7 @@ class PartNamer:
         onsets_s: Sequence[tuple[float, float]],
         clock_s: float = 0.0,
     ) -> Iterator[NamedPart]:
-        """The part that a window of a drive names, if any.
+        """Yield the part that differs in a window of a drive, if any.
 
         Parameters
         ----------
@@ -139,7 +139,7 @@ class PartNamer:
         start, end : float, s after the drive's first sample
         alarm_s : float or None, s, alarm that began the window
         onsets_s : Sequence of (float, float), s, times of alarms and of their onsets
-        clock_s : float, optional, s, is added to the times of the result
+        clock_s : float, optional, s, offset for the times of the result
 
         Yields
         ------
@@ -171,7 +171,7 @@ class PartNamer:
             )
 
     def _advice(self, finding: PartFinding, since_s: float) -> tuple[str | None, str]:
-        """When to service, and the line of words."""
+        """When to service the part, and the text of the result."""
         line = f"{finding.words()}, since about {since_s:.0f} s"
         checks = "; ".join(f"check {self._check(part)}" for part in finding.parts)
         if len(finding.parts) != 1 or finding.value is None:
@@ -181,22 +181,22 @@ class PartNamer:
         return service, f"{line}; {checks}; service {service}"
 
     def _check(self, part: str) -> str:
-        """Words that say what to check of a part: those of the project file, or the usual ones."""
+        """Text on what to check of a part: from the project file, or the usual text."""
         settings, project = self.project.isolation, self.project
         assert settings is not None
         if part in settings.check:
             return settings.check[part]
         if part == VEHICLE:
-            return "tyres, their pressure, and the load"
+            return "tyres, tyre pressure and load"
         if part == settings.part_of(project.speed.name):
-            return "the factor of the speed, and the wheels' size"
+            return "the scale factor of the speed, and the wheel size"
         if part in {settings.part_of(s.name) for s in project.inputs}:
-            return f"zero, ratio and delay of {part}"
+            return f"zero offset, ratio and delay of {part}"
         return f"mounting, wiring and calibration of {part}"
 
 
 class RunningParts:
-    """Names parts in the windows of a drive that comes in pieces.
+    """Names parts in the windows of a drive that arrives in pieces.
 
     Parameters
     ----------
@@ -236,7 +236,7 @@ class RunningParts:
             self._onsets = [o for o in self._onsets if o[0] >= end]
 
     def _window(self, start: float, end: float) -> Iterator[NamedPart]:
-        """The part that a window names; the rows before its warm-up are forgotten."""
+        """Yield the part that a window names, and drop the rows before its warm-up."""
         changes, n_u = self._namer.changes, self._namer.project.n_u
         warm_up = start - (changes.estimator.settle + changes.ahead) * changes.project.Ts_s
         cut = int(np.searchsorted(self._rows[:, 0], warm_up))

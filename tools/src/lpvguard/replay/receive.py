@@ -1,16 +1,17 @@
-"""Raw CAN logs through the compiled receiver: supervision and decoder of lib/, as on the ECU.
+"""Sample raw CAN logs with the compiled receiver: supervision and decoder of lib/, as on the ECU.
 
-can/logs.py reads the logs; replayer.py feeds the monitor with the samples.
+can/logs.py reads the logs. replayer.py passes the samples to the monitor.
 
-Ticks are one sample period of the vehicle apart. A tick reads the newest accepted value of every signal, as
-in lpvg_ecu_step; nothing is interpolated. There is a sample where every message that carries a signal of the
-vehicle is live (can.h), and a gap elsewhere. A tick lies half a period after the mean arrival time of the
-fastest of these messages. Jitter below half a period then moves no frame to another tick. A log of our own
-simulator gives the samples that its ECU had. Only the demand has the resolution of the bus.
+There is one tick per sample period of the vehicle. A tick reads the newest accepted value of every signal, as
+in lpvg_ecu_step; nothing is interpolated. A tick gives a sample if every message that carries a signal of the
+vehicle is live (can.h). Otherwise there is a gap. A tick lies half a period after the mean arrival time of
+the fastest of these messages. Jitter below half a period then moves no frame to another tick. A log of the
+simulator gives the samples that its ECU had, except that the demand has the resolution of the bus.
 
-Frames of a car's own bus (``[can]`` of the project file) become frames of a catalogue first (can/own.py).
+Frames of a car's own bus (``[can]`` of the project file) are first converted to frames of a catalogue
+(can/own.py).
 
-A clock that goes back by more than REORDER_S, or forward by more than CLOCK_JUMP_S, is a jump. It is
+A clock that goes back by more than REORDER_S, or forward by more than CLOCK_JUMP_S, is a jump. A jump is
 replayed as a pause of PAUSE_S.
 """
 
@@ -46,8 +47,7 @@ PAUSE_S = 1.0
 
 @dataclass(frozen=True)
 class Received:
-    """A log as the ECU samples it: t (N,) [s] from 0, values (N, signals), present (N,) bool, and the
-    report."""
+    """A sampled log: t (N,) [s] from 0, values (N, signals), present (N,) bool, and the report."""
 
     t: np.ndarray
     values: np.ndarray
@@ -57,7 +57,7 @@ class Received:
 
 @dataclass(frozen=True)
 class _Place:
-    """Place of a vehicle's signal on the bus: the sum of the bus signals is factor * value."""
+    """Place of a vehicle's signal on the bus: the sum of the listed bus signals is factor * value."""
 
     message: Message
     signals: tuple[BusSignal, ...]
@@ -79,19 +79,19 @@ class _Bus:
 
 
 class Receiver:
-    """Compiled receiver of a vehicle: speed, inputs, outputs and gates of its signal table, in this order.
+    """Compiled receiver of a vehicle for speed, inputs, outputs and gates, in this order.
 
     It reads frames of the catalogue, or of the car's own bus.
 
     Parameters
     ----------
     project : Project
-    command : bool, add a column with the driver's yaw-rate command where the bus has it, default False
+    command : bool, add a column with the driver's yaw-rate command if the bus has it, default False
 
     Raises
     ------
     InputError
-        If a signal has no place on the bus, or nothing compiles here.
+        If a signal has no place on the bus, or no compiler is available.
     """
 
     def __init__(self, project: Project, command: bool = False):
@@ -116,14 +116,14 @@ class Receiver:
     def receive(self, frames: Frames, where: str | Path, *, channel: str | None = None) -> Received:
         """Sample a log.
 
-        Raises InputError when it holds no needed message, or they come from several channels and none was
-        chosen.
+        Raises InputError when the log holds no needed message. It also does when they come from several
+        channels and none was chosen.
         """
         frames, ours = self._one_channel(frames.of_channel(channel, where), where)
         fastest = min(m.period_ms for m in self.needed) * 1000
         t_us, order, jumps = _one_clock(frames.t_ns, ours, fastest)
         period = round(self.project.Ts_s * 1e6)
-        # The first sample waits for the first frame of a message that counts; silence before it is no gap.
+        # The first sample comes after the first frame of a counted message; the time before is no gap.
         first = round(int(t_us[np.flatnonzero(ours[order])[0]]) / fastest) * fastest + fastest // 2
         ticks = max(int(t_us[-1] - first) // period + 1, 1)
         running = self.running(min(int(t_us[0]), first), where)
@@ -143,12 +143,12 @@ class Receiver:
     def running(self, start_us: int, where: str | Path) -> RunningReceiver:
         """Start a receiver whose clock begins at ``start_us`` [us]; it takes frames in pieces.
 
-        Raises InputError when the supervision refuses that time.
+        Raises InputError when the supervision refuses the start time.
         """
         return RunningReceiver(self, start_us, where)
 
     def presence(self, values: np.ndarray, states: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """True (needed, N) where each needed message is live, and (N,) where a sample passes all gates.
+        """Masks: (needed, N) each needed message is live; (N,) the sample passes all gates.
 
         ``values`` (N, columns) and ``states`` (N, rules) come from ``RunningReceiver.take``.
         """
@@ -162,14 +162,14 @@ class Receiver:
     def counted(self, counts: np.ndarray) -> dict[str, Any]:
         """Number of frames by outcome, from ``counts`` (rules + 1, events).
 
-        The key "messages" has each needed or seen message, and "other" has all others.
+        The key "messages" holds each needed or seen message, and "other" holds the sum of all others.
         """
         return {"messages": self._counted(counts), "other": _named(counts[-1])}
 
     def _one_channel(self, frames: Frames, where: str | Path) -> tuple[Frames, np.ndarray]:
-        """Frames of the one channel with needed messages, and (N,) which frames are these.
+        """Frames of the single channel with needed messages, and the mask (N,) of these frames.
 
-        Raises InputError when no channel has them, or several do.
+        Raises InputError when no channel has needed messages, or several channels have them.
         """
         ours = self.ours(frames)
         if not ours.any():
@@ -185,7 +185,7 @@ class Receiver:
                 where,
                 "channel",
                 f"the vehicle's messages come from {', '.join(channels)}",
-                "--channel, to say which",
+                "the option --channel",
             )
         frames = frames.of_channel(channels[0], where)
         return frames, self.ours(frames)
@@ -195,7 +195,7 @@ class Receiver:
         return self._sent[message.name][0]
 
     def called(self, message: Message) -> str:
-        """Name and identifier of a needed message on the bus."""
+        """Name and identifier on the bus of a needed message, as text."""
         name, identifier, _ = self._sent[message.name]
         return f"{name} ({identifier & ~EXTENDED:0{8 if identifier & EXTENDED else 3}X})"
 
@@ -205,7 +205,7 @@ class Receiver:
         return len(self._places)
 
     def ours(self, frames: Frames) -> np.ndarray:
-        """True (N,) for the frames of needed messages; J1939 groups match at any priority."""
+        """Mask (N,) of the frames of needed messages; J1939 groups match at any priority."""
         ours = np.zeros(len(frames.id), bool)
         for m in self.needed:
             _, identifier, mask = self._sent[m.name]
@@ -213,7 +213,7 @@ class Receiver:
         return ours
 
     def _counted(self, counts: np.ndarray) -> dict[str, dict[str, int]]:
-        """Frames and periods by kind, of the needed messages and of those that were seen."""
+        """Frames and periods by kind, for needed messages and messages in the log."""
         missed = EVENTS.index("missed")
         return {
             self._sent[m.name][0]: _named(row)
@@ -222,8 +222,7 @@ class Receiver:
         }
 
     def _gaps(self, t: np.ndarray, live: np.ndarray, present: np.ndarray) -> list[dict[str, Any]]:
-        """Stretches without a sample: from the first tick without one to the next tick with one, or the
-        end."""
+        """Stretches without a sample, from their first tick to the next tick with a sample or the end."""
         edges = runs(~present)
         return [
             {
@@ -240,12 +239,12 @@ class Receiver:
 
 
 class RunningReceiver:
-    """A running instance of a vehicle's receiver; frames come in one or several pieces.
+    """A running receiver of a vehicle; frames arrive in one or several pieces.
 
     Parameters
     ----------
     receiver : Receiver
-    start_us : int, us, start of its clock
+    start_us : int, us, start of the receiver's clock
     where : str or Path, name of the log in errors
     """
 
@@ -260,7 +259,7 @@ class RunningReceiver:
         if not handle:
             self._refused()
         self.counts = np.zeros((receiver.n_rules + 1, len(EVENTS)), np.uint32)
-        """(rules + 1, events) what became of the frames so far."""
+        """(rules + 1, events) number of frames so far by outcome."""
 
     def __del__(self) -> None:
         self._lib.lpvgb_receiver_destroy(self._handle)
@@ -268,11 +267,11 @@ class RunningReceiver:
     def take(
         self, t_us: np.ndarray, frames: Frames, first_us: int, ticks: int
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Take frames with increasing times t_us (N,) [us], up to the last of ``ticks`` ticks.
+        """Process frames with increasing times t_us (N,) [us], up to the last of ``ticks`` ticks.
 
-        Ticks are a sample period apart from ``first_us`` [us] on. Returns values (ticks, columns), NaN before
-        the first, and states of the supervision (ticks, rules). Raises InputError when the supervision
-        refuses a time.
+        There is one tick per sample period from ``first_us`` [us] on. Returns values (ticks, columns), NaN
+        before a signal's first value, and states of the supervision (ticks, rules). Raises InputError when
+        the supervision refuses a time.
         """
         values = np.empty((ticks, self._receiver.columns))
         states = np.empty((ticks, self._receiver.n_rules), np.uint8)
@@ -328,7 +327,7 @@ def _car_bus(signals: list[Signal], bus: CarBus) -> _Bus:
 
 
 def _place(signal: Signal, catalogue: Catalogue) -> _Place:
-    """Place of a vehicle's signal on the bus of the catalogue; InputError where it has none."""
+    """Place of a vehicle's signal on the bus of the catalogue; InputError if it has none."""
     where = f"vehicle signal {signal.name}"
     if signal.can is None:
         raise InputError(
@@ -351,7 +350,7 @@ def _place(signal: Signal, catalogue: Catalogue) -> _Place:
 
 
 def _take_source(places: list[_Place]) -> str:
-    """C text of lpvgb_take: value = bus value / factor, in the float arithmetic of the ECU (can/bus.py)."""
+    """C code of lpvgb_take: value = bus value / factor, in the float arithmetic of the ECU (can/bus.py)."""
     cases = ""
     for name in dict.fromkeys(p.message.name for p in places):
         numbered = [(i, p) for i, p in enumerate(places) if p.message.name == name]
@@ -402,10 +401,10 @@ def _library(name: str, take: str, *generated: tuple[str, str]) -> Path:
 def _one_clock(
     t_ns: np.ndarray, ours: np.ndarray, period_us: int
 ) -> tuple[np.ndarray, np.ndarray, list[dict]]:
-    """Times [us] from 0 in increasing order, the frames' positions in it, and the jumps of the log's clock.
+    """Increasing times [us] from 0, the order of the frames, and the jumps of the log's clock.
 
-    Every stretch between jumps is shifted so that our frames arrive, in the circular mean, at multiples of
-    ``period_us``.
+    Every stretch between jumps is shifted. The needed frames then arrive at multiples of ``period_us`` in the
+    circular mean.
     """
     clock = clock_of(t_ns, CLOCK_JUMP_S)
     times: list[np.ndarray] = []

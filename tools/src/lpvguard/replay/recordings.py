@@ -1,7 +1,8 @@
-"""Time series of a replay in the files of other tools: Parquet, MCAP (Foxglove, PlotJuggler; ROS 2), MF4.
+"""Write the time series of a replay to files of other tools: Parquet, MCAP (Foxglove, ROS 2), MF4.
 
-MCAP has the messages of messages.py, with their schemas. Times are those of the series [ns]. MF4 has a
-channel with a unit for each column. A margin has its own times, those of the judgement.
+MCAP files hold the messages of messages.py with their schemas; times are those of the series [ns].
+PlotJuggler reads them, too. MF4 files have a channel with a unit for each column. A margin has its own time
+base: the times of judgement.
 """
 
 import json
@@ -22,7 +23,7 @@ from .series import MARGIN, numbers
 Kind = Literal["parquet", "mcap", "mf4", "ros2"]
 SUFFIX: dict[Kind, str] = {"parquet": ".parquet", "mcap": ".mcap", "mf4": ".mf4", "ros2": ".mcap"}
 BEGINNING = datetime(1970, 1, 1, tzinfo=UTC)
-"""Start time in the files: a series has seconds after its first sample, and no time of day."""
+"""Start time in the files, because a series holds seconds after its first sample and no time of day."""
 _HISTORY = "<FHcomment><TX>lpvguard replay</TX><tool_id>lpvguard</tool_id></FHcomment>"
 
 
@@ -43,7 +44,7 @@ def write_series(
     series : Table, of series.py
     alarms : list of dict, as in the JSON of `replay`
     vehicle : str
-    parts : Sequence of dict, likewise, for MCAP and ROS 2
+    parts : Sequence of dict, as in the JSON of `replay`, for MCAP and ROS 2
 
     Raises
     ------
@@ -84,7 +85,7 @@ def _write_mf4(path: Path, series: pa.Table) -> None:
     dense: list[Signal] = []
     margins: list[Signal] = []
     for name in series.column_names:
-        if name in ("t", "verdict"):  # verdict_code has its number
+        if name in ("t", "verdict"):  # the column verdict_code has its number
             continue
         values = numbers(series[name])
         here = np.isfinite(values) if name.startswith(MARGIN) else np.ones(len(t), bool)

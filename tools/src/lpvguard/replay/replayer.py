@@ -1,5 +1,4 @@
-"""Stage 8, replay: runs recorded drives and raw CAN logs through the compiled C core and records its
-answers."""
+"""Stage 8, replay: run recorded drives and raw CAN logs through the compiled C core and store its results."""
 
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, replace
@@ -29,7 +28,7 @@ EXCITED_WINDOW_S = 10.0
 
 @dataclass(frozen=True)
 class ChangeEstimate:
-    """Estimate of the change test for an output: e = gain yhat - delay_s dyhat/dt + bias [output unit]."""
+    """Estimate of the change test in an output: e = gain yhat - delay_s dyhat/dt + bias [output unit]."""
 
     gain: float
     delay_s: float
@@ -40,10 +39,10 @@ class ChangeEstimate:
 class Alarm:
     """An alarm with its evidence.
 
-    A frame alarm has E and Z, the frame's DFT of error and nominal output. An energy alarm means that the
-    energy test's ratio exceeded its threshold after a memory below it; bin_rad_s and W_delta are None. Its
-    B_w holds the band's sigma, E the norms of F e_j, and Z those of F W_delta yhat_j. A change alarm has
-    empty B_w, E and Z.
+    In a frame alarm, E and Z are the frame's DFT of error and nominal output. An energy alarm means that the
+    energy test's ratio exceeded its threshold after one memory time below it. Its bin_rad_s and W_delta are
+    None. Its B_w holds the band's sigma, E the norms of F e_j, and Z the norms of F W_delta yhat_j. In a
+    change alarm, B_w, E and Z are empty.
 
     Attributes
     ----------
@@ -51,19 +50,19 @@ class Alarm:
     test : str, "frame", "energy" or "change"
     bin_rad_s : float or None, rad/s, frequency of the frame's bin
     speed_mps : float, m/s
-    margin, evidence, statistic, threshold : float, t* or ratio, its evidence, and what is compared
+    margin, evidence, statistic, threshold : float, t* or ratio, its evidence, and the two compared numbers
     W_delta : list (n_delta,) of float, or None
     B_w : list (n_y,) of float, output units
     E, Z : list (n_y,) of complex, output units
     direction : list (n_y,) of float, or None, weights of the outputs in units of sigma
     band : str or None, of core.band_names
-    output, part : str or None, of the change test; part of core.CHANGE_PARTS
+    output, part : str or None, of the change test; ``part`` is one of core.CHANGE_PARTS
     estimate : ChangeEstimate or None
     pooled : float or None, ratio of the pool of a frame alarm
     beyond : str or None
-        "disturbance" where a vehicle without response would not have alarmed, else "model"; None for the
-        change test.
-    verdict : str, "invalid" where the alarm refutes the certificate's set, else "degraded" (THEORY 7.18)
+        "disturbance" if a vehicle without response would not have alarmed, else "model"; None for the change
+        test.
+    verdict : str, "invalid" if the alarm refutes the certificate's set, else "degraded" (THEORY 7.18)
     """
 
     t_s: float
@@ -89,13 +88,13 @@ class Alarm:
 
 
 def _beyond(evidence: float, threshold: float) -> str:
-    """Word for the bound that an alarm refutes (THEORY 7.4)."""
+    """Name of the bound that an alarm refutes (THEORY 7.4)."""
     return "model" if evidence > threshold else "disturbance"
 
 
 @dataclass(frozen=True)
 class Replay:
-    """One drive through the core, with times in s after its first sample.
+    """Results of the core for one drive, with times in s after its first sample.
 
     Attributes
     ----------
@@ -113,8 +112,8 @@ class Replay:
     missing_samples : int
     can : dict or None, outcome of a raw log's frames, and gaps (receive.py)
     start_s : float, s, the drive's own time at its first sample, which ``run`` uses
-    diagnoses : tuple of Diagnosis, one an output of an alarm, in the order of time
-    parts : tuple of NamedPart, or None where nothing names parts
+    diagnoses : tuple of Diagnosis, one per alarm and output, in the order of time
+    parts : tuple of NamedPart, or None if the vehicle has no isolation
     """
 
     name: str
@@ -124,20 +123,20 @@ class Replay:
     in_range: np.ndarray  # (N,) bool
     excited: np.ndarray  # (N,) bool
     falsified: np.ndarray  # (N,) bool: with this sample the core judged a frame that falsifies
-    pooled: np.ndarray  # (N,) bool: likewise, by its pool
+    pooled: np.ndarray  # (N,) bool: with this sample the core judged a pool of frames that falsifies
     over: np.ndarray  # (N,) bool: the energy test's ratio is above its threshold
-    changed: np.ndarray  # (N,) bool: the change test's is
+    changed: np.ndarray  # (N,) bool: the change test's ratio is above its threshold
     alarms: list[Alarm]  # of all tests, in the order of time
     Ts: float
     missing_samples: int = 0
-    can: dict[str, Any] | None = None  # of a raw log: what became of its frames, gaps (receive.py)
-    start_s: float = 0.0  # the drive's own time at its first sample; ``run`` has that time
-    diagnoses: tuple[Diagnosis, ...] = ()  # of alarms, an output each, in the order of time
+    can: dict[str, Any] | None = None  # of a raw log: outcome of its frames, and gaps (receive.py)
+    start_s: float = 0.0  # the drive's own time at its first sample, which ``run`` uses
+    diagnoses: tuple[Diagnosis, ...] = ()  # one per alarm and output, in the order of time
     parts: tuple[NamedPart, ...] | None = None
 
     @property
     def judged_intervals(self) -> list[list[float]]:
-        """Joined spans [t0, t1] of counted frames [s]."""
+        """Time spans [t0, t1] covered by counted frames, overlapping ones joined [s]."""
         return [[float(a) * self.Ts, float(b) * self.Ts] for a, b in runs(self.judged)]
 
     @property
@@ -147,19 +146,19 @@ class Replay:
 
     @property
     def max_margin(self) -> float | None:
-        """Largest t* of the counted frames; None without any."""
+        """Largest t* of the counted frames; None if there are none."""
         counted = self.run.frames.counted
         return float(self.run.frames.margin[counted].max()) if counted.any() else None
 
     @property
     def first_invalid_s(self) -> float | None:
-        """Time of the first verdict "invalid" [s after the first sample]; None: never."""
+        """Time of the first verdict "invalid" [s after the first sample]; None if there is none."""
         invalid = np.flatnonzero(self.run.verdict == VERDICTS.index("invalid"))
         return float(invalid[0] * self.Ts) if len(invalid) else None
 
     @property
     def first_degraded_s(self) -> float | None:
-        """Time of the first verdict "degraded", likewise."""
+        """Time of the first verdict "degraded" [s after the first sample]; None if there is none."""
         degraded = np.flatnonzero(self.run.verdict == VERDICTS.index("degraded"))
         return float(degraded[0] * self.Ts) if len(degraded) else None
 
@@ -169,7 +168,7 @@ class Replay:
         return VERDICTS[self.run.verdict[-1]]
 
     def left_out(self) -> dict[str, int]:
-        """Number of frames by the reason why they did not count, or counted without evidence."""
+        """Number of frames by the reason why they did not count or counted without evidence."""
         return {r: int((self.run.frames.reason == i).sum()) for i, r in enumerate(REASONS)}
 
     def to_dict(self) -> dict[str, Any]:
@@ -207,7 +206,7 @@ class Replay:
 
 @dataclass(frozen=True)
 class Recorded:
-    """Content of a file.
+    """Content of a drive table or raw log.
 
     Attributes
     ----------
@@ -255,8 +254,8 @@ class Replayer:
     project : Project
     core : Core
     threshold, energy_threshold, change_threshold : float or None, optional
-    pool_scale : ndarray (K, n_y) or None, optional, in the place of that of the coefficients
-    namer : PartNamer or None, optional, names parts; by default that of the core's folder, if any
+    pool_scale : ndarray (K, n_y) or None, optional, replaces the scale in the coefficients
+    namer : PartNamer or None, optional, names parts; by default the one of the core's folder, if any
     """
 
     def __init__(
@@ -287,10 +286,10 @@ class Replayer:
             raise InputError(
                 core.folder,
                 "estimator",
-                f"bounds were made with estimator {core.estimator_id():#010x}",
+                f"bounds from estimator {core.estimator_id():#010x}",
                 f"{self.estimator.identifier():#010x}, the one the project file describes",
             )
-        core.monitor()  # refuses coefficients that the core refuses, before they are read by field
+        core.monitor()  # the core refuses wrong coefficients here, before a field of them is read
         reals = core.compiled[1].copy()
         fields = core.fields(reals)
         thresholds = {
@@ -354,7 +353,7 @@ class Replayer:
         )
 
     def diagnoses(self, run: Run, t0: float) -> Iterator[Diagnosis]:
-        """Causes found in a run, one an output; ``t0`` [s] is time 0."""
+        """Diagnoses of a run, one per alarm and output; ``t0`` [s] becomes time 0."""
         causes = run.causes
         for i in range(len(causes.cause)):
             alarm_s = float(causes.t_alarm_s[i] - t0)
@@ -371,7 +370,7 @@ class Replayer:
             )
 
     def alarms(self, run: Run, t0: float) -> list[Alarm]:
-        """Alarms of a run in the order of time; ``t0`` [s] is time 0."""
+        """Alarms of a run in the order of time; ``t0`` [s] becomes time 0."""
         alarms = [*self._frame_alarms(run, t0), *self._energy_alarms(run, t0), *self._change_alarms(run, t0)]
         return sorted(alarms, key=lambda a: a.t_s)
 
@@ -458,10 +457,9 @@ class Replayer:
     def summarise_file(
         self, path: Path, channel: str | None = None, with_series: bool = False
     ) -> tuple[dict[str, Any], pa.Table | None] | InputError:
-        """The object of `lpvguard replay --json` for one file, and ``with_series`` its time series
-        (series.py).
+        """JSON object of `lpvguard replay` for one file, and its time series if ``with_series`` (series.py).
 
-        Returns the InputError instead when the file cannot be read.
+        If the file cannot be read, it returns the InputError.
         """
         try:
             recorded = self.read_file(path, channel)
@@ -471,11 +469,11 @@ class Replayer:
             return error
 
     def replay_file(self, path: Path, channel: str | None = None) -> Replay:
-        """Read, check and run one drive table or raw CAN log, of which ``channel`` is taken."""
+        """Read, check and run one drive table, or the given ``channel`` of a raw CAN log."""
         return self.replay_recorded(self.read_file(path, channel))
 
     def read_file(self, path: Path, channel: str | None = None) -> Recorded:
-        """Read and check one drive table or raw CAN log, of which ``channel`` is taken."""
+        """Read and check one drive table, or the given ``channel`` of a raw CAN log."""
         log = read_raw_log(path)
         if log is not None:
             return self.received(log, path, channel)
@@ -489,13 +487,13 @@ class Replayer:
         return replace(self.replay(recorded.drive), can=recorded.can)
 
     def series(self, recorded: Recorded, replay: Replay) -> pa.Table:
-        """Record and the core's answers, one row a sample (series.py)."""
+        """Time series of the record and the core's results, one row per sample (series.py)."""
         drive = recorded.drive
         yhat = self.model.simulate(drive.v, drive.u, drive.y[0])
         return self.series_of(drive, yhat, replay.run, float(drive.t[0]))
 
     def series_of(self, drive: Drive, yhat: np.ndarray, run: Run, t0: float) -> pa.Table:
-        """A piece of a series with nominal outputs ``yhat`` (N, n_y); t counts from ``t0`` [s]."""
+        """One piece of a time series, with nominal outputs ``yhat`` (N, n_y); t counts from ``t0`` [s]."""
         return table_of(self.project, yhat, self.estimator.omega, drive, run, t0)
 
     def series_columns(self) -> list[str]:
@@ -506,11 +504,11 @@ class Replayer:
         return self.series_of(drive, drive.y, run, 0.0).column_names
 
     def replay_frames(self, log: Frames, path: Path, channel: str | None = None) -> Replay:
-        """Run the frames of a raw CAN log through the compiled receiver and the monitor, as on the ECU."""
+        """Process the frames of a raw CAN log with the compiled receiver and the monitor, as on the ECU."""
         return self.replay_recorded(self.received(log, path, channel))
 
     def received(self, log: Frames, path: Path, channel: str | None = None) -> Recorded:
-        """Frames of a raw CAN log through the compiled receiver, as on the ECU."""
+        """Sample the frames of a raw CAN log with the compiled receiver, as on the ECU."""
         received = self.receiver.receive(log, path, channel=channel)
         if not received.present.any():
             raise InputError(
@@ -553,7 +551,7 @@ def read_raw_log(path: Path) -> Frames | None:
     Raises
     ------
     InputError
-        If it is neither.
+        If the file is neither a raw log nor a drive table.
     """
     if path.suffix.lower() in TABLE_SUFFIXES and not is_raw_table(path):
         return None
@@ -566,9 +564,9 @@ def read_raw_log(path: Path) -> Frames | None:
 
 
 def bus_frames(path: Path, project: Project) -> Frames:
-    """Read the frames that `lpvguard replay --to` plays.
+    """Read the CAN frames that `lpvguard replay --to` sends.
 
-    A raw log keeps its frames; a drive table becomes the vehicle's messages.
+    A raw log keeps its frames. The samples of a drive table are packed into the vehicle's messages.
 
     Parameters
     ----------
@@ -591,7 +589,7 @@ def bus_frames(path: Path, project: Project) -> Frames:
         raise InputError(
             path,
             "",
-            "a drive table holds no gate signal, which the bus needs",
+            "a drive table holds no gate signals, but the bus needs them",
             "a raw log, for a vehicle with gates",
         )
     drive = read_drive(path, project).present
@@ -599,7 +597,7 @@ def bus_frames(path: Path, project: Project) -> Frames:
 
 
 def _why_not_live(report: dict[str, Any]) -> str:
-    """Number of frames by kind, per needed message."""
+    """Text with the number of frames by kind for each needed message."""
     return "; ".join(
         f"{name}: " + (", ".join(f"{n} {kind}" for kind, n in kinds.items()) or "none")
         for name, kinds in report["messages"].items()

@@ -1,4 +1,4 @@
-"""Time series of a replay as ROS 2 messages in an MCAP file (rosbag2), without an installation of ROS.
+"""Write the time series of a replay as ROS 2 messages to an MCAP file (rosbag2), without ROS.
 
 /diagnostics            diagnostic_msgs/DiagnosticArray: at each change of verdict, alarm and second; a part
                         that differs has a status of its own at the end of its window (parts.py)

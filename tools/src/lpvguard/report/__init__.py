@@ -1,6 +1,7 @@
-"""The page and pictures for people.
+"""The report page and its pictures.
 
-In: the results of all rooms below. Out: one self-contained page, and its pictures as SVG.
+In: an identification, drives, and the results of other commands. Out: one self-contained HTML page, and its
+pictures as SVG.
 """
 
 MAY_IMPORT = ("base", "vehicle", "engine", "drives", "fit", "core", "identify", "replay", "evaluate")

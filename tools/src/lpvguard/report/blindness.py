@@ -1,5 +1,4 @@
-"""Tested and blind regions of a model by speed and frequency: proved, blind, without data or violated (THEORY
-7.4)."""
+"""Classify each cell of speed and frequency as proved, blind, without data or violated (THEORY 7.4)."""
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
@@ -9,7 +8,7 @@ import numpy as np
 from ..replay.replayer import Alarm
 
 LEVEL = 0.3
-"""Gain error for the first screen's question."""
+"""Gain error [-] that the first screen asks about."""
 PROVED, BLIND, EMPTY, VIOLATED = "proved", "blind", "no_data", "violated"
 
 
@@ -23,7 +22,7 @@ class MapCell:
     bin : int
     omega : float, rad/s, 0 at DC
     frames : int, counted frames
-    gain_error : float or None, smallest one that the frame test sees, at the percentile's excitation
+    gain_error : float or None, smallest gain error that the frame test sees, at the percentile's excitation
     strongest : float or None, the same at the strongest frame
     limit : float or None, of a test that knows how the vehicle errs (THEORY 7.19)
     floor : float, the same at any excitation
@@ -44,8 +43,8 @@ class MapCell:
     def state(self) -> str:
         """State of the cell.
 
-        PROVED: judged without an alarm, and a gain error of LEVEL alone would have raised one. BLIND: such an
-        error could stay unseen.
+        PROVED: there was no alarm, and a gain error of LEVEL alone would have raised one. BLIND: a gain error
+        of LEVEL could stay unseen.
         """
         if self.alarms:
             return VIOLATED
@@ -85,7 +84,7 @@ def cells(seen: dict, alarms: Iterable[Alarm]) -> list[list[MapCell]]:
                 c["frames"][k],
                 c["gain_error"][k],
                 s["gain_error"][k],
-                c["limit"][k] if "limit" in c else None,  # an identification of before has none
+                c["limit"][k] if "limit" in c else None,  # older identifications have no limit
                 seen["gain_error_floor"][k],
                 int(count[row, k]),
             )
@@ -96,21 +95,21 @@ def cells(seen: dict, alarms: Iterable[Alarm]) -> list[list[MapCell]]:
 
 
 def speed_row(seen: dict, speed_mps: float) -> int:
-    """Speed cell of visibility.json ``seen`` that holds the speed [m/s], or else is nearest."""
+    """Index of the speed cell of visibility.json ``seen`` that holds the speed [m/s] or is nearest to it."""
     starts = [c["speed_mps"][0] for c in seen["at_percentile"]]
     return int(np.clip(np.searchsorted(starts, speed_mps, side="right") - 1, 0, len(starts) - 1))
 
 
 @dataclass(frozen=True)
 class Region:
-    """Speeds [m/s] with the same chosen runs of bins, first and last."""
+    """Range of speeds [m/s] with the same chosen runs of bins; a run is its first and last cell."""
 
     speed_mps: tuple[float, float]
     runs: tuple[tuple[MapCell, MapCell], ...]
 
 
 def regions(grid: list[list[MapCell]], chosen: Callable[[MapCell], bool]) -> list[Region]:
-    """Chosen cells as few regions: runs of bins per speed cell, with equal neighbours joined."""
+    """Combine the chosen cells into few regions: neighbouring speed cells with the same bins are joined."""
     joined: list[Region] = []
     for row in grid:
         runs: list[tuple[MapCell, MapCell]] = []

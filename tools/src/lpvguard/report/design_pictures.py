@@ -1,4 +1,4 @@
-"""Pictures of `lpvguard design`: Figs. 5 and 6 and the trade-off, drawn from the numbers in its files."""
+"""Draw Figs. 5 and 6 and the trade-off from the files of `lpvguard design`."""
 
 import json
 
@@ -9,7 +9,7 @@ from .pictures.drawing import Picture, standalone
 
 
 def draw(figures: dict) -> dict[str, Picture]:
-    """Pictures by name, "fig5" and "fig6", of figures.json."""
+    """Pictures of figures.json by name, "fig5" and "fig6"."""
     out = {}
     if "fig5" in figures:
         f = figures["fig5"]

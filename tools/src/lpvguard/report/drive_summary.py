@@ -1,4 +1,4 @@
-"""Summary of every replayed drive for the page: its nearest approach to an alarm, and its course."""
+"""Summarise every replayed drive for the page: its largest statistic and the statistic over time."""
 
 from dataclasses import dataclass
 
@@ -14,11 +14,11 @@ COLUMNS = 60
 
 @dataclass(frozen=True)
 class Nearest:
-    """A drive's nearest approach to an alarm, or its largest excess.
+    """The largest ratio of statistic to threshold in a drive.
 
-    ``ratio``: statistic over threshold, an alarm above 1. ``test``: "frame", "energy" or "change". ``bin``:
-    index and ``omega`` [rad/s]; None unless for the frame test. ``t_s``: end of the judged stretch [s after
-    the drive's start]; ``speed_mps`` [m/s].
+    ``ratio``: statistic over threshold; above 1 it is an alarm. ``test``: "frame", "energy" or "change".
+    ``bin`` (index) and ``omega`` [rad/s] are None unless the test is the frame test. ``t_s``: end of the
+    judged stretch [s after the drive's start]; ``speed_mps`` [m/s].
     """
 
     ratio: float
@@ -31,12 +31,12 @@ class Nearest:
 
 @dataclass(frozen=True)
 class DriveSummary:
-    """A replayed drive for overview, index and its section.
+    """Summary of a replayed drive for the overview, the index and the section of the drive.
 
-    ``key``: id of its section. ``role``: in the identification, HTML. ``relevant_s`` and
-    ``judged_relevant_s`` [s]: in range and excited, and the judged part. ``course`` (COLUMNS,): largest
-    statistic over threshold that ended in a column of time, NaN without any. ``verdict`` (COLUMNS,): code of
-    the verdict at a column's end. ``vaf``: least over the outputs, NaN if unknown [-]. ``unexplained``:
+    ``key``: id of its section. ``role``: its role in the identification, HTML. ``relevant_s`` [s]: driving in
+    range and excited; ``judged_relevant_s``: its judged part. ``course`` (COLUMNS,): largest statistic over
+    threshold in each column of time, NaN without any. ``verdict`` (COLUMNS,): code of the verdict at a
+    column's end. ``vaf``: least variance accounted for of all outputs, NaN if unknown [-]. ``unexplained``:
     remainder of a drive that sets the bounds or calibrates; else None. ``section``: HTML.
     """
 
@@ -60,7 +60,7 @@ class DriveSummary:
 
 
 def nearest(replay: Replay, replayer: Replayer, drive: Drive) -> Nearest | None:
-    """Place of the largest statistic of any test in units of its threshold; None without a judged frame."""
+    """Find the largest ratio of statistic to threshold of all tests; None without a judged frame."""
     frames, candidates = replay.run.frames, []
     counted = np.flatnonzero(frames.counted)
     if len(counted):
@@ -84,7 +84,7 @@ def nearest(replay: Replay, replayer: Replayer, drive: Drive) -> Nearest | None:
 
 
 def _ratios(replay: Replay, replayer: Replayer) -> tuple[tuple[str, np.ndarray], ...]:
-    """Ratios (N,) to the threshold of the tests with one a sample; 0: not judged."""
+    """Ratios (N,) of statistic to threshold, for the tests with one statistic per sample; 0: not judged."""
     return (
         ("energy", replay.run.energy / replayer.energy_threshold),
         ("change", replay.run.change / replayer.change_threshold),
@@ -92,7 +92,7 @@ def _ratios(replay: Replay, replayer: Replayer) -> tuple[tuple[str, np.ndarray],
 
 
 def course(replay: Replay, replayer: Replayer, t0: float) -> tuple[np.ndarray, np.ndarray]:
-    """Course and verdict of a DriveSummary, each (COLUMNS,); ``t0``: time of the drive's first sample [s]."""
+    """Compute ``course`` and ``verdict`` of a DriveSummary; ``t0``: time of the drive's first sample [s]."""
     frames, samples = replay.run.frames, len(replay.run.verdict)
     ratio = np.full(COLUMNS, -np.inf)
     counted = frames.counted
@@ -106,5 +106,5 @@ def course(replay: Replay, replayer: Replayer, t0: float) -> tuple[np.ndarray, n
 
 
 def _column(sample: np.ndarray, samples: int) -> np.ndarray:
-    """Column of each sample of a drive with so many samples."""
+    """Column of each of the drive's samples."""
     return np.clip(sample * COLUMNS // samples, 0, COLUMNS - 1).astype(int)

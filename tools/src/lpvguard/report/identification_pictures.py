@@ -34,7 +34,7 @@ class IdentificationPictures:
     def __init__(self, stored: StoredIdentification, estimator: Estimator):
         self.stored, self.estimator = stored, estimator
         self.grid = fitting_grid(estimator)
-        """(K,) frequencies of the bins [rad/s], with DC at a place of its own."""
+        """(K,) frequencies of the bins [rad/s]; DC is drawn at a small positive frequency."""
         self._fine = np.geomspace(self.grid[0], 2 * self.grid[-1], 400)
 
     @cached_property
@@ -100,7 +100,7 @@ class IdentificationPictures:
         )
 
     def model_error(self, name: str) -> Picture:
-        """The model error model beside W_delta."""
+        """Draw the model error model together with W_delta."""
         project, error = self.stored.project, self.stored.model_error
         grid, names = error.grid.omega, [s.name for s in project.outputs]
         wide = np.geomspace(grid[0], grid[-1], 400)
@@ -117,7 +117,7 @@ class IdentificationPictures:
         )
 
     def front(self, name: str) -> Picture | None:
-        """Pareto front per bin; None for structure S0, which has none."""
+        """Draw the Pareto front of each bin; None for structure S0, which has no front."""
         front, bounds = self.stored.front, self.stored.bounds
         if not np.isfinite(front["nu"]).any():
             return None
@@ -132,7 +132,7 @@ class IdentificationPictures:
         )
 
     def excitation(self, name: str, bin_of: np.ndarray, Z: np.ndarray) -> Picture:
-        """|Z| per bin over counted frames: their bins (F,) and nominal outputs Z (F, n_y)."""
+        """Draw |Z| per bin for counted frames with bins (F,) and nominal outputs Z (F, n_y)."""
         size, K = np.linalg.norm(Z, axis=1), self.estimator.n_bins
 
         def per_bin(statistic: Callable[[np.ndarray], float]) -> np.ndarray:

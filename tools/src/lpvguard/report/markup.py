@@ -11,7 +11,7 @@ from .pictures.numbers import to_json
 
 
 def html_table(head: Iterable[str], rows: Iterable[Iterable[str]], kind: str = "") -> str:
-    """A table; ``head`` (may be empty) and cells are HTML, ``kind`` is its CSS class."""
+    """HTML table; ``head`` (may be empty) and cells are HTML, ``kind`` is its CSS class."""
     top = "".join(f"<th>{h}</th>" for h in head)
     top = f"<thead><tr>{top}</tr></thead>" if top else ""
     body = "".join("<tr>" + "".join(f"<td>{c}</td>" for c in row) + "</tr>\n" for row in rows)
@@ -19,13 +19,13 @@ def html_table(head: Iterable[str], rows: Iterable[Iterable[str]], kind: str = "
 
 
 def html_rows(rows: Iterable[dict[str, str]]) -> str:
-    """A table whose head is the keys of its rows, all HTML."""
+    """HTML table with the keys of its rows as head; all texts are HTML."""
     every = list(rows)
     return html_table(every[0] if every else (), (row.values() for row in every))
 
 
 def captioned(picture: Picture | None, caption: str) -> str:
-    """A picture, if any, with its caption in HTML. page.js zooms it by the numbers beside it."""
+    """A picture, if any, with its caption in HTML and its numbers, which page.js uses for zooming."""
     below = f"<figcaption>{caption}</figcaption>" if caption else ""
     if picture is None:
         return f"<figure>{below}</figure>"
@@ -34,19 +34,19 @@ def captioned(picture: Picture | None, caption: str) -> str:
 
 
 def number(value: float | np.floating | None, digits: int = 3) -> str:
-    """A number with this many significant digits; a dash for None or a value that is not finite."""
+    """Format a number with this many significant digits; a dash for None or a value that is not finite."""
     return "–" if value is None or not np.isfinite(value) else f"{value:.{digits}g}"
 
 
 def yes_or_no(value: bool | None, yes: str, no: str) -> str:
-    """One of two HTML texts in its colour; a dash for None."""
+    """The HTML text for yes or for no, in its colour; a dash for None."""
     if value is None:
         return "–"
     return f'<span class="yes">{yes}</span>' if value else f'<span class="no">{no}</span>'
 
 
 def premise_words(premise: dict) -> str:
-    """Premise of certificates, as in controller.json, in words: evidence and conclusion."""
+    """Describe the premise of certificates from controller.json: evidence and conclusion."""
     refuting, doubting = premise["refuting"], premise["doubting"]
     not_refuted = refuting is None or refuting["ratio"] >= 1
     words = yes_or_no(not_refuted, "Premise, not refuted:", "Premise, refuted:")

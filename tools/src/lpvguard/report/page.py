@@ -1,8 +1,8 @@
 """`lpvguard report`: one self-contained HTML page with every picture and table of an identification.
 
-Every number is read from the identification folder or computed here, from the folder's frames and a replay of
-the drives through the compiled core. The page loads nothing from outside and holds no clock time: the same
-input gives the same bytes. It can be read without its script.
+Every number comes from the identification folder, or from a replay of the drives through the compiled core.
+The page loads nothing from outside. It holds no clock time, so the same input gives the same bytes. It can be
+read without its script.
 """
 
 from collections.abc import Callable, Iterator
@@ -38,7 +38,7 @@ LIBRARIES = ("bokeh", "bokeh-api")
 SCRIPTS = ("page.js", "zoom.js")
 """Scripts for zooming, sorting and searching."""
 PICTURES = "report"
-"""Kind of the folder of pictures."""
+"""Kind of output folder that holds the pictures."""
 POLICY = "default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'; img-src data: blob:"
 """Content policy: a browser loads nothing from outside the page."""
 
@@ -62,7 +62,7 @@ def write_report(
     ----------
     stored : StoredIdentification
     drives : DriveSet, the identification's drives
-    replayer : Replayer, or None for bounds of the plain DFT, whose drives are judged by the exact margin
+    replayer : Replayer, or None for bounds of the plain DFT; the exact margin then judges the drives
     out : Path, the page
     evaluation : dict or None, JSON of `lpvguard evaluate`
     progress : Callable, reports progress
@@ -99,7 +99,7 @@ def _sections(
     tradeoff: Path | None,
     campaign: dict | None,
 ) -> Iterator[str]:
-    """All sections; the arguments are those of ``write_report``."""
+    """All sections; the arguments are the same as for ``write_report``."""
     yield from _identification_sections(stored, drives, replayer, progress, design, evaluation)
     if evaluation is not None:
         yield evaluation_section(evaluation)
@@ -121,7 +121,7 @@ def _identification_sections(
     design: Path | None,
     evaluation: dict | None,
 ) -> Iterator[str]:
-    """Sections of every page. The drives are read first, because some sections show their content."""
+    """Sections that every page has. The drives are read first, because some sections show their content."""
     visits = Visits()
     summaries: list[DriveSummary] = []
     rows: list[list[str]] = []
@@ -165,12 +165,12 @@ def map_page(stored: StoredIdentification, alarms: list[Alarm]) -> str:
 
 
 def _own(name: str) -> str:
-    """Text of a file of this room."""
+    """Text of a file in this package."""
     return resources.files(__package__).joinpath(name).read_text(encoding="utf-8")
 
 
 def _scripts() -> str:
-    """BokehJS as text, which zoom.js runs at the first zoom, then the scripts of this room."""
+    """BokehJS as text, which zoom.js runs at the first zoom, then the scripts of this package."""
     folder = resources.files("bokeh").joinpath("server", "static", "js")
     libraries = [folder.joinpath(f"{name}.min.js").read_text(encoding="utf-8") for name in LIBRARIES]
     own = [_own(name) for name in SCRIPTS]
@@ -180,7 +180,7 @@ def _scripts() -> str:
 
 
 def _page(project: Project, sections: list[str]) -> str:
-    """The whole page; the section titles, each an h2, give the line of links."""
+    """The whole page; the titles of the sections (h2) become the line of links."""
     titles = [s[s.index("<h2>") + 4 : s.index("</h2>")] for s in sections]
     nav = " ".join(f'<a href="#s{i}">{title}</a>' for i, title in enumerate(titles, start=1))
     body = "".join(f'<section id="s{i}">{s}</section>\n' for i, s in enumerate(sections, start=1))

@@ -1,4 +1,4 @@
-"""Counted frames, and the stretches for Fig. 4, collected in one pass over the drives."""
+"""Collect the counted frames and the stretches for Fig. 4 in one pass over the drives."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from ..base.runs import runs
 
 @dataclass(frozen=True)
 class Longest:
-    """The longest stretch so far: name of its drive, first sample, and the sample after its last."""
+    """The longest stretch so far: name of its drive, first sample, and the sample after the last one."""
 
     drive: str = ""
     start: int = 0
@@ -32,7 +32,8 @@ class Longest:
 class Visits:
     """Counted frames of all drives: lists over drives of bins (F,) and Z (F, n_y).
 
-    Also the longest judged, excited stretches in the lower and in the upper third of the model's speed range.
+    It also has the longest judged, excited stretches in the lower and the upper third of the model's speed
+    range.
     """
 
     bin: list[np.ndarray] = field(default_factory=list)
@@ -42,7 +43,7 @@ class Visits:
 
 
 def longest_run(mask: np.ndarray) -> slice:
-    """Longest run of True in ``mask`` (N,); an empty slice without one."""
+    """Longest run of True in ``mask`` (N,); an empty slice if there is none."""
     edges = runs(mask)
     if not len(edges):
         return slice(0, 0)

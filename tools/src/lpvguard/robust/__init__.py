@@ -1,17 +1,17 @@
-"""Robust control on objects of python-control: no drive, no vehicle, no file (lib/THEORY.md 6).
+"""Robust control with objects of python-control; it needs no drives, vehicles or files (lib/THEORY.md 6).
 
 ====================  ===========================================================================
 ``hinfsyn``           H-infinity controller with its certified level
 ``musyn``             D-K iteration with its certified level of mu
-``mu``                structured singular value of a matrix or a loop, from both sides
+``mu``                upper and lower bound of the structured singular value
 ``worst_gain``        largest gain over every Delta of size 1
 ``disk_margin``       gain, phase, delay and disk margins of one loop
 ``nu_gap``            distance of two plants for feedback
-``overbound``         stable minimum-phase weight of low order that provably lies above samples
+``overbound``         stable minimum-phase weight of low order, proved to lie above samples
 ``uncertainty_set``   smallest set of one form that contains measured frequency responses
 ====================  ===========================================================================
 
-Which rooms it may import: MAY_IMPORT.
+MAY_IMPORT lists the packages that it may import.
 """
 
 from ..engine.blocks import Block

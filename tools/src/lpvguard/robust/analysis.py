@@ -1,4 +1,4 @@
-"""Structured singular value, worst-case gain, margins and nu-gap of given systems."""
+"""Analysis of given systems: structured singular value, worst-case gain, margins and nu-gap."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -17,7 +17,7 @@ from .systems import state_space
 
 
 def mu(M: Any, blocks: Sequence[Block], omega: tuple[float, float] = (0.0, np.inf)) -> MuBounds:
-    """Bound the structured singular value from both sides.
+    """Compute an upper and a lower bound of the structured singular value.
 
     Parameters
     ----------
@@ -36,7 +36,7 @@ def mu(M: Any, blocks: Sequence[Block], omega: tuple[float, float] = (0.0, np.in
     Raises
     ------
     SynthesisError
-        The loop is unstable, its shape is not that of the blocks, or no bound could be proved.
+        The loop is unstable, its shape does not fit the blocks, or no bound could be proved.
 
     References
     ----------
@@ -52,7 +52,7 @@ def mu(M: Any, blocks: Sequence[Block], omega: tuple[float, float] = (0.0, np.in
 def worst_gain(
     loop: Any, blocks: Sequence[Block], performance: Block, omega: tuple[float, float] = (0.0, np.inf)
 ) -> IntervalBound:
-    """Bound the largest gain of the last outputs and inputs over every Delta of size 1.
+    """Bound the worst-case gain from the last inputs to the last outputs over every Delta of size 1.
 
     Parameters
     ----------
@@ -61,7 +61,7 @@ def worst_gain(
     blocks : sequence of Block
         Blocks of Delta.
     performance : Block
-        Full block of the last outputs (its cols) and inputs (its rows).
+        Full block whose cols are the last outputs and whose rows are the last inputs.
     omega : tuple of float
         Interval of frequencies in rad/s.
 
@@ -101,7 +101,7 @@ def disk_margin(L: Any) -> LoopMargins:
 
 
 def nu_gap(first: Any, second: Any) -> NormBracket:
-    """Compute the nu-gap of two plants as a bracket.
+    """Compute a lower and an upper bound of the nu-gap of two plants.
 
     Parameters
     ----------

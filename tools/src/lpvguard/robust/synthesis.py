@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Synthesis:
-    """A controller and what is proved of it.
+    """A controller and its proved properties.
 
     Attributes
     ----------
@@ -31,13 +31,14 @@ class Synthesis:
     CL : control.StateSpace
         Closed loop from the remaining inputs to the remaining outputs.
     level : float
-        Proved: the H-infinity norm of ``CL``, or mu at every frequency, is at most this.
+        Proved upper bound of the H-infinity norm of ``CL``, or of mu at every frequency.
     lower : float
-        For ``hinfsyn``, no controller has a smaller level. For ``musyn``, mu of this loop is at least this.
+        For ``hinfsyn``, a lower bound of the level of every controller. For ``musyn``, a lower bound of mu of
+        this loop.
     peak : float
         Frequency of the largest value, in rad/s.
     notes : tuple of str
-        What was special, for example a regularised singular problem.
+        Special events, for example that a singular problem was regularised.
     """
 
     K: control.StateSpace
@@ -59,12 +60,13 @@ def hinfsyn(P: Any, nmeas: int, ncon: int, backoff: float = 1e-3) -> Synthesis:
     nmeas, ncon : int
         Numbers of measurements and controls.
     backoff : float
-        Share by which the level may exceed the optimum, where controllers have infinite poles.
+        Relative amount by which the level may exceed the optimum, because optimal controllers can have
+        infinite poles.
 
     Raises
     ------
     SynthesisError
-        No stabilising controller exists, or the digits of the data do not determine the optimum.
+        No stabilising controller exists, or the data are not precise enough to determine the optimum.
 
     References
     ----------
@@ -138,7 +140,7 @@ def musyn(
 
 
 def _plant(P: Any, nmeas: int, ncon: int) -> StateSpace:
-    """Return the plant in the engine's form, with checked numbers of signals."""
+    """Convert the plant to the engine's form and check the numbers of signals."""
     plant = state_space(P, "P")
     for name, value, most in (("nmeas", nmeas, plant.n_outputs), ("ncon", ncon, plant.n_inputs)):
         if not (isinstance(value, (int, np.integer)) and 1 <= value < most):

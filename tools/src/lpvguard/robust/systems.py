@@ -1,4 +1,4 @@
-"""Conversion between python-control's systems and the engine's."""
+"""Convert systems between python-control and the engine."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ def state_space(system: Any, name: str) -> StateSpace:
     Parameters
     ----------
     system : control.StateSpace or control.TransferFunction
-        Continuous, or discrete with a stated sampling time.
+        Continuous-time, or discrete-time with a stated sampling time.
     name : str
         Name of the argument, for messages.
 
     Raises
     ------
     InputError
-        The object is no linear system, or its sampling time is not stated.
+        The object is not a linear system, or its sampling time is not stated.
     """
     package = python_control()
     if isinstance(system, package.TransferFunction):
@@ -47,12 +47,12 @@ def as_control(system: StateSpace) -> control.StateSpace:
 
 
 def python_control() -> Any:
-    """Return the package python-control; InputError names the extra that brings it."""
+    """Import the package python-control; InputError names the extra that installs it."""
     return optional("control", "control")
 
 
 def frequencies(omega: Any) -> np.ndarray:
-    """Return ``omega`` (k,) in rad/s as an array; InputError unless it is positive, finite and rising."""
+    """Return ``omega`` (k,) in rad/s as an array; InputError unless it is positive, finite and increasing."""
     omega = np.asarray(omega, dtype=float)
     if (
         omega.ndim != 1
@@ -62,6 +62,6 @@ def frequencies(omega: Any) -> np.ndarray:
         or (np.diff(omega) <= 0).any()
     ):
         raise InputError(
-            "omega", "", f"shape {omega.shape}", "a list of rising, finite frequencies above 0 rad/s"
+            "omega", "", f"shape {omega.shape}", "a list of increasing, finite frequencies above 0 rad/s"
         )
     return omega

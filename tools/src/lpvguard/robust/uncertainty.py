@@ -1,4 +1,4 @@
-"""Uncertainty sets from frequency responses, and weights above their radius."""
+"""Fit uncertainty sets to frequency responses, and weights above their radius."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ FORMS = {
     "feedback": "G = G0 (I - E G0)^-1",
     "coprime": "G = (M + E_M)^-1 (N + E_N), G0 = M^-1 N normalised",
 }
-"""The forms of a set. E is any stable system whose largest singular value is at most the radius."""
+"""Forms of an uncertainty set. E is any stable system with largest singular value at most the radius."""
 
 CONSISTENT = 1e-9
-"""Largest share of G that the best E may leave unexplained."""
+"""Largest relative part of G that the best E may leave unexplained."""
 
 
 @dataclass(frozen=True)
@@ -40,9 +40,9 @@ class UncertaintySet:
     omega : ndarray, shape (k,)
         Frequencies in rad/s.
     residuals : ndarray, shape (n, k, rows, cols)
-        E of each response. For ``coprime`` it is [E_N, E_M].
+        E for each response. For ``coprime`` it is [E_N, E_M].
     radius : ndarray, shape (k,)
-        Largest singular value over the responses.
+        Largest singular value of E over all responses.
     """
 
     form: str
@@ -51,17 +51,17 @@ class UncertaintySet:
     radius: np.ndarray
 
     def weight(self, max_order: int = 4) -> tuple[control.TransferFunction, float]:
-        """Fit a weight above the radius; see ``overbound``."""
+        """Fit a weight above the radius (see ``overbound``)."""
         return overbound(self.omega, self.radius, max_order)
 
 
 def overbound(omega: Any, magnitude: Any, max_order: int = 4) -> tuple[control.TransferFunction, float]:
-    """Fit a stable minimum-phase weight of low order that provably lies above samples.
+    """Fit a stable minimum-phase weight of low order that is proved to lie above samples.
 
     Parameters
     ----------
     omega : array_like, shape (k,)
-        Rising frequencies in rad/s.
+        Increasing frequencies in rad/s.
     magnitude : array_like, shape (k,)
         Samples; NaN where nothing is known. Samples of 0 are raised to 1e-6 times the largest.
     max_order : int
@@ -72,7 +72,7 @@ def overbound(omega: Any, magnitude: Any, max_order: int = 4) -> tuple[control.T
     weight : control.TransferFunction
         Its magnitude is at least the samples' linear interpolation in logarithms, at every frequency.
     worst_ratio : float
-        Proved: the weight is nowhere more than this factor above the samples.
+        Proved upper bound of the ratio of the weight to the samples.
 
     Raises
     ------
@@ -97,7 +97,7 @@ def uncertainty_set(omega: Any, nominal: Any, responses: Any, form: str) -> Unce
     Parameters
     ----------
     omega : array_like, shape (k,)
-        Rising frequencies in rad/s.
+        Increasing frequencies in rad/s.
     nominal : array_like, shape (k, p, m), or control.StateSpace or control.TransferFunction
         Nominal response G0.
     responses : array_like, shape (n, k, p, m)
@@ -108,7 +108,7 @@ def uncertainty_set(omega: Any, nominal: Any, responses: Any, form: str) -> Unce
     Raises
     ------
     InputError
-        A shape or number is wrong, or no E of this form gives a response exactly.
+        A shape or number is wrong, or no E of this form reproduces a response exactly.
 
     References
     ----------
@@ -130,7 +130,7 @@ def uncertainty_set(omega: Any, nominal: Any, responses: Any, form: str) -> Unce
         raise InputError(
             "uncertainty_set",
             f"response {n} at {omega[k]:.4g} rad/s",
-            f"no E of the form {FORMS[form]} gives it",
+            f"no E of the form {FORMS[form]} reproduces it",
             "another form, for example additive or coprime",
         )
     return UncertaintySet(form, omega, residuals, np.linalg.norm(residuals, 2, axis=(2, 3)).max(axis=0))
@@ -151,7 +151,7 @@ def _samples(system: Any, omega: np.ndarray, name: str) -> np.ndarray:
 
 
 def _residual(form: str, G0: np.ndarray, G: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the smallest E of a form and the response that E gives."""
+    """Return the smallest E of a form and the response that results from E."""
     p, m = G.shape[-2:]
     I_p, I_m = np.eye(p), np.eye(m)
     pinv = np.linalg.pinv

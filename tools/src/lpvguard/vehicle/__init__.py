@@ -1,7 +1,7 @@
-"""One vehicle as its project file describes it.
+"""Vehicle described by its project file.
 
-In: a project file (`shipped/*.toml` are data of this room). Out: the checked `Project`, and `NominalModel`
-with matrices over speed, delay and the recursion along a drive.
+In: a project file (`shipped/*.toml` belong to this package). Out: the checked `Project`, and the
+`NominalModel` with matrices over speed, input delay and simulation along a drive.
 """
 
 MAY_IMPORT = ("base",)

@@ -10,11 +10,11 @@ from ..base.documents import Fraction, Positive, StrictModel
 
 
 class DesignSettings(StrictModel):
-    """Settings of step 8: objectives of Fig. 1 and the scheduled controller.
+    """Settings of step 8: objectives of Fig. 1 and the gain-scheduled controller.
 
     Weights are gain * prod(s/zero + 1) / prod(s/pole + 1) with zeros and poles in rad/s. The gains are A_t
-    and A_u; the default break frequencies are the paper's. A_u is that of the first input; that of a further
-    one is in proportion to the rate limits.
+    and A_u; the default break frequencies are the paper's. A_u is the gain of the first input; the gain of a
+    second input follows from the ratio of the rate limits.
 
     Attributes
     ----------
@@ -26,14 +26,15 @@ class DesignSettings(StrictModel):
     design_speed_mps : float, m/s
     nodes : int, scheduling speeds, uniform over the model's range
     synthesised_for : [A_t, A_u] or None, targets of the synthesis if they differ from the certified ones
-        A higher A_t can leave room for a moving speed.
+        A higher A_t can leave a reserve for a varying speed.
     backoff, order_loss : float, relative losses allowed in synthesis and order reduction
     table : list of [A_t, A_u] or None, columns of Table II
-    lambda_s : float, s^2, weight of the state uncertainty in (8) for K_is, Lambda_nu = diag(1, lambda_s)
+    lambda_s : float, s^2, weight of the state uncertainty in (8) for K_is: Lambda_nu = diag(1, lambda_s)
     amplitudes : list of float or None, edges of the amplitude classes of `bench robust` [input unit]
     input_max : list of float, limit of the demand [input unit]
     lateral_acceleration_max_mps2 : float or None
-        Limits the demand over speed by steady yaw rate times speed (control/input_limit.py).
+        Limits the demand over speed, so that steady yaw rate times speed stays below it
+        (control/input_limit.py).
     input_rate_max_per_s : list of float, limit of the demand's rate [input unit/s]
     """
 
@@ -61,18 +62,18 @@ class DesignSettings(StrictModel):
 
     @model_serializer(mode="wrap")
     def _brief(self, plain: SerializerFunctionWrapHandler) -> dict[str, object]:
-        """Leave out an unstated ``controlled``, which older settings lack."""
+        """Leave out ``controlled`` if it is None, because older settings do not have it."""
         return {k: v for k, v in plain(self).items() if k != "controlled" or v is not None}
 
     @property
     def for_synthesis(self) -> DesignSettings:
-        """Settings with the A_t and A_u of the synthesis."""
+        """Copy of the settings with the A_t and A_u for the synthesis."""
         A_t, A_u = self.synthesised_for or (self.A_t, self.A_u)
         return self.model_copy(update={"A_t": A_t, "A_u": A_u})
 
     @property
     def objectives(self) -> list[tuple[float, float]]:
-        """(A_t, A_u) of Table II's columns. By default the paper's: A_t with A_u, 75/95 of A_t, and a tenth
-        of A_u."""
+        """(A_t, A_u) of Table II's columns; by default three as in the paper (A_t lowered to 75/95, A_u to
+        1/10)."""
         own = [[self.A_t, self.A_u], [self.A_t * 75 / 95, self.A_u], [self.A_t, self.A_u / 10]]
         return [(A_t, A_u) for A_t, A_u in (self.table or own)]

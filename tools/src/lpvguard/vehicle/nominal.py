@@ -1,11 +1,11 @@
-"""Stage 1: continuous LPV model of the project file, exact zero-order hold, recursion along a drive.
+"""Stage 1: continuous LPV model of the project file, exact zero-order hold, simulation along a drive.
 
     x_{k+1} = Ad(v_k) x_k + B_old(v_k) u_{k-d-1} + B_new(v_k) u_{k-d},   yhat_k = C x_k + y0
 
-The input u is without ``input_offset``. The input delay td = (d + f) Ts is split into whole samples d and a
-fraction f. During the first f Ts of an interval the older input acts; this is exact for an input that is held
-between samples. Outside the speed range the model runs at the nearest speed of the range, and the monitor
-does not judge (THEORY 3.1).
+``input_offset`` is subtracted from the input u. The input delay td = (d + f) Ts is split into whole samples d
+and a fraction f. During the first f Ts of a sample interval the older input acts. This is exact if the input
+is held between samples. Outside the speed range the model uses the nearest speed of the range, and the
+monitor does not judge (THEORY 3.1).
 """
 
 import ast
@@ -25,7 +25,7 @@ from .project import ModelSettings, Project
 from .taylor import COEFFICIENTS, Taylor, greatest, least
 
 Speed = TypeVar("Speed", np.ndarray, Taylor)
-"""Value of the speed in an expression of a project file: speeds (m,) or an interval of speeds."""
+"""Type of the speed in an expression of a project file: speeds (m,) or an interval of speeds."""
 _OPERATORS: dict[type[ast.AST], Callable[..., Any]] = {
     ast.Add: operator.add,
     ast.Sub: operator.sub,
@@ -42,7 +42,7 @@ def _sqrt(x: Any) -> Any:
 
 
 def _of_several(choose: Callable[..., Any], choose_bounds: Callable[..., Taylor]) -> Callable[..., Any]:
-    """Apply ``choose`` to several values, and ``choose_bounds`` where one of two is an interval."""
+    """Apply ``choose`` to several values, or ``choose_bounds`` if one of two is an interval."""
 
     def function(*values: Any) -> Any:
         return reduce(
@@ -64,7 +64,7 @@ _FUNCTIONS: dict[str, tuple[Callable[..., Any], int, int]] = {
 
 @lru_cache(maxsize=1024)
 def _parsed(expression: str) -> ast.expr:
-    """Syntax tree of an expression, cached because a fit asks for the same ones often."""
+    """Syntax tree of an expression, cached because a fit evaluates the same expressions often."""
     return ast.parse(expression, mode="eval").body
 
 
@@ -84,14 +84,14 @@ def evaluate(expression: float | str, names: Mapping[str, Speed | float], where:
     Raises
     ------
     InputError
-        If the expression is malformed; it names ``where`` and the culprit.
+        If the expression is malformed; the error names ``where`` and the wrong part.
     """
     if not isinstance(expression, str):
         return expression
 
     def walk(node: ast.expr) -> Speed | float:
         if isinstance(node, ast.Constant) and isinstance(node.value, (int, float)):
-            return float(node.value)  # a power of integers could fill the memory
+            return float(node.value)  # a large power of integers could fill the memory
         if isinstance(node, ast.Name) and node.id in names:
             return names[node.id]
         if isinstance(node, ast.BinOp) and type(node.op) in _OPERATORS:
@@ -113,12 +113,12 @@ def evaluate(expression: float | str, names: Mapping[str, Speed | float], where:
             raise InputError(where, expression, f"cannot use {ast.unparse(node)!r}", expected)
         values = [walk(argument) for argument in node.args]
         if function is _sqrt and not isinstance(values[0], Taylor) and np.any(np.asarray(values[0]) < 0):
-            raise InputError(where, expression, f"{ast.unparse(node)!r} of a negative number", "0 or more")
+            raise InputError(where, expression, f"{ast.unparse(node)!r} has a negative argument", "0 or more")
         return function(*values)
 
     try:
         body = _parsed(expression)
-    except (SyntaxError, ValueError, RecursionError, MemoryError):  # a NUL; brackets in brackets
+    except (SyntaxError, ValueError, RecursionError, MemoryError):  # a NUL; too many nested brackets
         raise InputError(
             where,
             expression,
@@ -141,15 +141,15 @@ class DiscreteModel:
 
 
 TABLE_TOLERANCE = 1e-6
-"""Largest error of a tabulated model entry, relative to its largest magnitude over the speed range."""
+"""Largest error of a tabulated model entry, divided by its largest magnitude over the speed range."""
 
 
 @dataclass(frozen=True)
 class SpeedTable:
-    """Model entries over speed, as the core tabulates them.
+    """Table of the model entries over speed, as in the core.
 
-    Entries are Ad, B_old, B_new row by row. A cell of equal width holds a cubic in the position 0..1 within
-    it.
+    Entries are Ad, B_old, B_new row by row. The speed range is divided into cells of equal width. Each cell
+    holds cubic polynomials of the position 0..1 in the cell.
 
     Attributes
     ----------
@@ -177,7 +177,7 @@ class SpeedTable:
         return out
 
     def position(self, v: np.ndarray) -> np.ndarray:
-        """Position (m,) of speeds v (m,) in cells from the low end, clamped to the range."""
+        """Position (m,) of speeds v (m,), in cell widths from the low end, clamped to the range."""
         low, high = self.speed_range
         return (np.clip(v, low, high) - low) / (high - low) * len(self.cell)
 
@@ -185,13 +185,13 @@ class SpeedTable:
 def tabulate(
     entries: Callable[[np.ndarray], np.ndarray], low: float, high: float, cells: int | None = None
 ) -> SpeedTable:
-    """Interpolate entries over speed by cubics at four Chebyshev points a cell.
+    """Interpolate entries over speed by cubics through four Chebyshev points per cell.
 
     Parameters
     ----------
     entries : Callable, speeds (m,) -> (m, n)
     low, high : float, m/s
-    cells : int, optional, by default as many as needed; a given number leaves the error NaN
+    cells : int, optional, by default as many as needed; with a given number the error is NaN
 
     Returns
     -------
@@ -218,7 +218,7 @@ def tabulate(
         cell = np.einsum("ij,cjv->cvi", to_cubic, at_nodes)
         if cells is not None:
             break
-        # A few points of a cell refuse most tables; the kept one is checked at all points.
+        # A few points per cell already rule out most tables; the chosen table is checked at all points.
         for points in (check,) if count == counts[-1] else (check[::8], check):
             exact = entries((left[:, None] + width * points).ravel())[:, varying]
             table = np.einsum("cvi,pi->cpv", cell, np.vander(points, 4, increasing=True))
@@ -270,7 +270,7 @@ def entries_at(
 
 
 def state_space(model: ModelSettings, v: np.ndarray | float, where: str) -> tuple[np.ndarray, np.ndarray]:
-    """A (m, n, n) and B (m, n, n_u) of a project file's model at any speeds v (m,) [m/s].
+    """Evaluate A (m, n, n) and B (m, n, n_u) of a project file's model at any speeds v (m,) [m/s].
 
     ``where`` is the model's name in errors.
     """
@@ -315,7 +315,7 @@ class NominalModel:
         self.output_offset = np.array(self._settings.output_offset or [0.0] * self.n_y)
         self.speed_range = (self._settings.speed_min_mps, self._settings.speed_max_mps)
         delay = self._settings.input_delay_s / self.Ts
-        # A delay given as a decimal multiple of Ts must not become a fraction of 1e-16.
+        # A delay that is a decimal multiple of Ts must not get a fraction of 1e-16 by rounding.
         self.delay = round(delay) if abs(delay - round(delay)) < 1e-9 else int(np.floor(delay))
         self.delay_fraction = 0.0 if abs(delay - round(delay)) < 1e-9 else delay - self.delay
         self._require_stable()
@@ -325,13 +325,13 @@ class NominalModel:
         return state_space(self._settings, v, self._where)
 
     def hold_bounds(self, low: float, high: float) -> tuple[np.ndarray, np.ndarray]:
-        """Entrywise bounds of |d/dv| and |d2/dv2| of [Ad, Bd, Gd] (n, n + n_u + n) over low..high [m/s]. Ad,
-        Bd, Gd are the zero-order hold of A, B and of an input on every state. Where the input delay has a
-        fraction of a sample, Bd are two columns an input: the sample before, and this one. The bounds are
-        rigorous up to rounding. The exponential's power series has positive coefficients. Bounds of A, B and
-        their Taylor coefficients in v therefore bound those of the hold. Raises InputError when an entry has
-        a fractional exponent, or a kink of abs, min or max between low and high. It also raises it for a
-        denominator or root whose bounds contain 0."""
+        """Entrywise bounds of |d/dv| and |d2/dv2| of [Ad, Bd, Gd] (n, n + n_u + n) over low..high [m/s]. Ad
+        and Bd are the zero-order hold of A and B; Gd is that of an input on every state. If the input delay
+        is not a whole number of samples, Bd has two columns per input: for the previous and for the present
+        sample. The bounds are rigorous up to rounding. The exponential's power series has positive
+        coefficients. Bounds of A, B and their Taylor coefficients in v therefore give bounds of the hold.
+        Raises InputError when an entry has a fractional exponent, or a kink of abs, min or max between low
+        and high. Raises it also when the bounds of a denominator or of the argument of a root contain 0."""
         n, width = self.n, 2 * self.n + self.n_u
         bounds = np.zeros((COEFFICIENTS, width, width))
         try:
@@ -379,8 +379,7 @@ class NominalModel:
 
     @property
     def held_states(self) -> int:
-        """States of the sampled vehicle: n, and the inputs of the sample before if the delay has a fraction
-        of a sample."""
+        """Number of states of the sampled vehicle: n, plus n_u if the delay has a fraction of a sample."""
         return self.n + (self.n_u if self.delay_fraction else 0)
 
     @cached_property
@@ -413,7 +412,7 @@ class NominalModel:
 
     @property
     def settle_samples(self) -> int:
-        """Samples until the initial state has decayed by e^-5 at the slowest pole (THEORY 3.2)."""
+        """Samples until the initial state has decayed to e^-5 at the slowest pole (THEORY 3.2)."""
         return int(np.ceil(5.0 / self.slowest_pole / self.Ts))
 
     def require_speed(self, v: float) -> None:
@@ -451,7 +450,7 @@ class NominalModel:
         return self.C @ np.linalg.solve(z * np.eye(self.n) - d.Ad[0], numerator)
 
     def dc_gain(self, v: np.ndarray) -> np.ndarray:
-        """Steady outputs per constant input (m, n_y, n_u) at frozen speeds v (m,) [m/s], without offsets."""
+        """Steady-state gains (m, n_y, n_u) at frozen speeds v (m,) [m/s], without offsets."""
         A, B = self.matrices(v)
         return -(self.C @ np.linalg.solve(A, B))
 
@@ -469,13 +468,13 @@ class NominalModel:
     def simulate(self, v: np.ndarray, u: np.ndarray, y_first: np.ndarray) -> np.ndarray:
         """Nominal output yhat (N, n_y) for v (N,) [m/s], u (N, n_u), from the measured y_first (n_y,).
 
-        Before the first sample the input is constant. The initial state is the least one with that output.
-        The model runs on the speed table, as in the core.
+        Before the first sample the input is constant. The initial state is the smallest one that gives
+        y_first. The model uses the speed table, as in the core.
         """
         return RunningModel(self, y_first).run(v, u)
 
     def states(self, v: np.ndarray, older: np.ndarray, newer: np.ndarray, first: np.ndarray) -> np.ndarray:
-        """States (N + 1, n) along speeds v (N,) from ``first`` (n,), by the speed table.
+        """States (N + 1, n) along speeds v (N,) from ``first`` (n,), with the speed table.
 
         The inputs are the `acting_inputs`, (N, n_u) each.
         """
@@ -493,7 +492,7 @@ class NominalModel:
 
     @cached_property
     def table(self) -> SpeedTable:
-        """Entries over speed, used by identification and the core."""
+        """Table of the model entries over speed, used by identification and the core."""
         return _table_of(_ByText(f"{self.Ts} {self._settings.model_dump_json()}", self))
 
     def discrete_entries(self, v: np.ndarray) -> np.ndarray:
@@ -503,7 +502,7 @@ class NominalModel:
 
     @staticmethod
     def exponential(a: np.ndarray) -> np.ndarray:
-        """Matrix exponentials of a (m, n, n), in the same shape."""
+        """Matrix exponentials of the matrices a (m, n, n), in the same shape."""
         return expm(a)
 
     def split(self, entries: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -519,7 +518,7 @@ class NominalModel:
 
 @dataclass(frozen=True)
 class _ByText:
-    """A model compared by ``text``, which determines its table."""
+    """A model that is compared by its ``text``, because the text determines its table."""
 
     text: str
     model: NominalModel = field(compare=False)
@@ -527,17 +526,17 @@ class _ByText:
 
 @lru_cache(maxsize=16)
 def _table_of(one: _ByText) -> SpeedTable:
-    """Speed table, cached for all models of a project because it is the costly part."""
+    """Speed table, cached for all models of a project because its computation is slow."""
     return tabulate(one.model.discrete_entries, *one.model.speed_range)
 
 
 class RunningModel:
-    """Nominal model along a drive that comes in one or several pieces.
+    """Nominal model along a drive that arrives in one or several pieces.
 
     Parameters
     ----------
     model : NominalModel
-    y_first : ndarray (n_y,), measured output; the run starts at the least state with it
+    y_first : ndarray (n_y,), measured output; the run starts at the smallest state with this output
     """
 
     def __init__(self, model: NominalModel, y_first: np.ndarray):
@@ -546,7 +545,7 @@ class RunningModel:
         self._before: np.ndarray | None = None
 
     def run(self, v: np.ndarray, u: np.ndarray) -> np.ndarray:
-        """Nominal output (N, n_y) of the next N samples: v (N,) [m/s], u (N, n_u)."""
+        """Nominal output (N, n_y) of the next N samples with v (N,) [m/s] and u (N, n_u)."""
         model, u = self._model, np.asarray(u, float)
         if not len(u):
             return np.empty((0, len(model.C)))

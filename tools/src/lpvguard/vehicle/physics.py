@@ -1,4 +1,4 @@
-"""Physical ranges of kinds of vehicles on tyres, against which units and results are judged."""
+"""Physical ranges for kinds of vehicles on tyres, to check units and results."""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -11,7 +11,7 @@ STANDARD_GRAVITY = 9.80665
 
 
 def degrees_per_g(understeer: float) -> float:
-    """Express an understeer in deg/g.
+    """Convert an understeer gradient to deg/g.
 
     Parameters
     ----------
@@ -56,7 +56,7 @@ KINDS: dict[KindName, VehicleKind] = {
 
 
 def kind_of(wheelbase_m: float | None) -> KindName:
-    """Name the kind of vehicle that a wheelbase suggests.
+    """Return the kind of vehicle that a wheelbase suggests.
 
     Parameters
     ----------
@@ -64,7 +64,7 @@ def kind_of(wheelbase_m: float | None) -> KindName:
 
     Returns
     -------
-    str, a car where it is None
+    str, a car if the wheelbase is None
     """
     if wheelbase_m is None or KINDS["car"].wheelbase_m[0] <= wheelbase_m <= KINDS["car"].wheelbase_m[1]:
         return "car"

@@ -1,6 +1,6 @@
-"""Project files: one vehicle is one TOML file, validated on load.
+"""Project files: one TOML file describes one vehicle and is validated on load.
 
-Its signal table alone states names, units, signs, ranges and CAN places of signals. Signals have the order
+Only its signal table states names, units, signs, ranges and CAN places of signals. The signals have the order
 scheduling, inputs, outputs, gates.
 """
 
@@ -24,14 +24,14 @@ NAME = r"^[a-z][a-z0-9_]*$"
 
 
 class CanPlace(StrictModel):
-    """Place of a signal on the bus: bus value = factor * value, in the bus signal's unit.
+    """Place of a signal on the bus: bus value = factor * value, in the unit of the bus signal.
 
-    The message is ours, of the CAN catalogue, or the car's own (``[can]``).
+    The message belongs to lpvguard's CAN catalogue or to the car's own bus (``[can]``).
 
     Attributes
     ----------
     message, signal : str, names on the bus
-    factor : float, bus value per value
+    factor : float, bus value divided by value
     plus : tuple of str, signals of the message that are added to ``signal``
     """
 
@@ -48,7 +48,7 @@ class CanPlace(StrictModel):
 
     @model_serializer(mode="wrap")
     def _brief(self, plain: SerializerFunctionWrapHandler) -> dict[str, object]:
-        """Leave out an empty ``plus``, which older settings lack."""
+        """Leave out an empty ``plus``, because older settings do not have it."""
         return {key: value for key, value in plain(self).items() if key != "plus" or value}
 
 
@@ -85,7 +85,7 @@ class OwnMessage(StrictModel):
     checksum : str or None, its name
     data_id : int, list of int or None, of an AUTOSAR profile; profiles 2 and 22 have a list of 16
     checksum_signal, counter : str or None
-        By default the signals CHECKSUM and COUNTER, else the profile's place.
+        By default the signals CHECKSUM and COUNTER, otherwise the place in the profile.
     """
 
     period_ms: Annotated[int, Field(ge=1, le=10_000)] | None = None
@@ -96,14 +96,14 @@ class OwnMessage(StrictModel):
 
 
 class OwnBus(StrictModel):
-    """The car's own bus; no part of what an identification was made with.
+    """The car's own bus; an identification does not depend on it.
 
     Attributes
     ----------
     dbc : str, CAN database beside the project file, which describes the messages
     messages : dict[str, OwnMessage], supervision of each message
     demand : dict[str, CanPlace], place of each input's demand in a message that a controller sends
-        All inputs or none.
+        It has all inputs or none.
     """
 
     dbc: str
@@ -119,11 +119,12 @@ class Signal(StrictModel):
     name, column, unit : str
     role : str, scheduling, input, output or gate
     positive : str, direction of positive values
-    min, max : float, physical limits in ``unit``; those of a gate bound the model's use
-        A sample outside counts as missing.
+    min, max : float, physical limits in ``unit``; the limits of a gate bound the use of the model
+        A sample outside the limits counts as missing.
     can : CanPlace or None
-    resolution, noise : float or None, step and white-noise deviation of an output's sensor in ``unit``
-        By default as the bound-setting drives show them (THEORY 7.13).
+    resolution, noise : float or None, step and standard deviation of white noise of an output's sensor in
+    ``unit``
+        By default they are estimated from the bound-setting drives (THEORY 7.13).
     """
 
     name: Annotated[str, Field(pattern=NAME)]
@@ -147,15 +148,15 @@ class Signal(StrictModel):
 
     @model_serializer(mode="wrap")
     def _brief(self, plain: SerializerFunctionWrapHandler) -> dict[str, object]:
-        """Leave out unstated sensor data, which older settings lack."""
+        """Leave out sensor data that is None, because older settings do not have it."""
         return {k: v for k, v in plain(self).items() if k not in ("resolution", "noise") or v is not None}
 
 
 class ModelSettings(StrictModel):
     """Continuous-time nominal model.
 
-    Entries of A and B are numbers or expressions in v, the parameters and ``let``, of + - * / ** and abs,
-    min, max, sqrt.
+    Entries of A and B are numbers or expressions in v, the parameters and ``let``. Expressions use + - * / **
+    and abs, min, max, sqrt.
 
     Attributes
     ----------
@@ -187,8 +188,8 @@ class FrameSettings(StrictModel):
     Attributes
     ----------
     estimator : str
-        ``hann``: constant-Q Hann frames. ``dft``: the paper's plain DFT, every line of one frame an
-        experiment.
+        ``hann``: constant-Q Hann frames. ``dft``: the paper's plain DFT, one frame per experiment with all
+        its lines.
     length_s : float or None, s, length of the frame of ``dft``
     periods : int, periods in a Hann frame
     bins_per_decade : int
@@ -214,12 +215,12 @@ class FrameSettings(StrictModel):
 
 
 class NuCeiling(StrictModel):
-    """Ceiling on the uncertainty bound over frequency (THEORY 5.1).
+    """Upper limit on the uncertainty bound over frequency (THEORY 5.1).
 
     Attributes
     ----------
     f_hz : list of float, Hz
-    nu : list of float, ceiling at f_hz
+    nu : list of float, upper limit at f_hz
     """
 
     f_hz: list[Positive]
@@ -234,7 +235,7 @@ class NuCeiling(StrictModel):
         return self
 
     def at(self, f_hz: np.ndarray) -> np.ndarray:
-        """Ceiling (F,) at ``f_hz`` (F,) [Hz]: linear in log f, constant outside; 0 at DC."""
+        """Upper limit (F,) at ``f_hz`` (F,) [Hz]: linear in log f, constant outside; 0 at DC."""
         f = np.asarray(f_hz, float)
         safe = np.where(f > 0, f, self.f_hz[0])
         return np.where(f > 0, np.interp(np.log(safe), np.log(self.f_hz), self.nu), 0.0)
@@ -245,7 +246,7 @@ class BoundSettings(StrictModel):
 
     Attributes
     ----------
-    structure : str, S0 (no Delta), S1 (one Delta for all outputs) or S1_diagonal (one an output), THEORY 4.1
+    structure : str, S0 (no Delta), S1 (one Delta for all outputs) or S1_diagonal (one per output), THEORY 4.1
     disturbance_set : str, the paper's set, or one that covers the record
     nu_ceiling : NuCeiling, optional
         Ceiling on the uncertainty bound, as the paper sets it: what the controller can stand. By default
@@ -259,12 +260,12 @@ class BoundSettings(StrictModel):
 
 
 class Beyond(StrictModel):
-    """Assumption on an output where no drive informs (THEORY 7.6).
+    """Assumption on an output beyond the frequencies with data (THEORY 7.6).
 
     Attributes
     ----------
     output : str
-    ratio : float or str, bound on |G/P|, at least 1: a number or an expression in omega [rad/s]
+    ratio : float or str, bound on |G/P|, at least 1; a number or an expression in omega [rad/s]
     reason : str
     """
 
@@ -278,9 +279,11 @@ class ModelErrorSettings(StrictModel):
 
     Attributes
     ----------
-    amplitude_edges : list of float, between the classes of sqrt(2) times the first input's rms [input unit]
-    speed_cells : int, cells of equal width over the model's speed range, pooled where a line in speed fits
-    instrument : str or None, column that excites from outside the loop, by default the nominal output
+    amplitude_edges : list of float, edges between the classes of sqrt(2) times the first input's rms [input
+    unit]
+    speed_cells : int, cells of equal width over the model's speed range, pooled if a line over speed fits
+    instrument : str or None, instrumental variable from outside the loop (column), by default the nominal
+    output
     beyond : list of Beyond
     """
 
@@ -302,7 +305,7 @@ class WeightSettings(StrictModel):
     Attributes
     ----------
     max_order : int, largest order
-    tolerance_db : float, dB above the least worst ratio
+    tolerance_db : float, dB above the smallest worst-case ratio
     """
 
     max_order: Annotated[int, Field(ge=0, le=8)] = 4
@@ -318,11 +321,11 @@ class FrameTestSettings(StrictModel):
     of_last : int, frames of a bin among which they are counted
     alpha : float, false-alarm rate that calibration aims at
     alarms_per_1000_h : float or None
-        In place of alpha, the rate of all tests together per 1000 h judged (THEORY 7.20).
+        Rate of all tests together per 1000 judged hours, in place of alpha (THEORY 7.20).
     alarms_confident : bool
         Extrapolated thresholds are the upper end of their interval, with 95 % confidence.
     excited_std : float
-        The first input's least standard deviation over 10 s in an excited sample [input unit].
+        A sample is excited if the first input's standard deviation over 10 s is at least this [input unit].
     """
 
     confirm: Annotated[int, Field(ge=1, le=8)] = 1
@@ -340,7 +343,7 @@ class FrameTestSettings(StrictModel):
 
     @model_serializer(mode="wrap")
     def _brief(self, plain: SerializerFunctionWrapHandler) -> dict[str, object]:
-        """Leave out an unstated rate, which older settings lack."""
+        """Leave out a rate that is None, because older settings do not have it."""
         return {k: v for k, v in plain(self).items() if not k.startswith("alarms_") or v}
 
 
@@ -350,7 +353,7 @@ class EnergyTestSettings(StrictModel):
     Attributes
     ----------
     band_hz : tuple of float or None, Hz
-        Two to seven rising corners, by default the frames' f_min_hz and f_max_hz.
+        Two to seven increasing corner frequencies, by default the frames' f_min_hz and f_max_hz.
     memory_s : float or None, s, time constant of the forgetting, by default one period of f_min_hz
     """
 
@@ -364,21 +367,21 @@ class ChangeTestSettings(StrictModel):
     Attributes
     ----------
     memory_s : float or None, s, time constant of the forgetting
-        By default a quarter of a period of f_min_hz, at least two blocks.
+        By default a quarter of a period of f_min_hz, but at least two blocks.
     """
 
     memory_s: Positive | None = None
 
 
 class DataSettings(StrictModel):
-    """Roles of the splits, and the data generator; all other splits calibrate.
+    """Roles of the splits of drives, and the data generator; all other splits calibrate.
 
     Attributes
     ----------
     bound_split : list of str, splits that set the bounds
-    command_split : list of str or None, those of bound_split with commands as in use, for W_C; by default all
+    command_split : list of str or None, splits of bound_split with commands as in use, for W_C; default: all
     noise_split : list of str, zero-input runs, for W_n
-    generator : str or None, what `generate` makes
+    generator : str or None, data set that `generate` makes
     """
 
     bound_split: list[str]
@@ -388,7 +391,7 @@ class DataSettings(StrictModel):
 
     @property
     def command_splits(self) -> list[str]:
-        """Splits that W_C comes from."""
+        """Splits from which W_C is computed."""
         return self.bound_split if self.command_split is None else self.command_split
 
     @model_validator(mode="after")
@@ -405,18 +408,19 @@ Range = Annotated[list[float], Field(min_length=2, max_length=2)]
 
 
 class FitSettings(StrictModel):
-    """Settings of `fit`; no part of what an identification was made with.
+    """Settings of `fit`; an identification does not depend on them.
 
-    Offsets are fitted where the model gives them.
+    Offsets are fitted if the model has them.
 
     Attributes
     ----------
     parameters : dict or None
-        Range of each fitted entry. By default all entries are fitted, from a fifth to five times their value.
+        Range of each fitted entry. By default all entries are fitted, from one fifth of their value to five
+        times it.
     input_delay_s : (low, high) or None, s, at most 1 s; equal ends keep the delay
         By default from 0 to ten samples or three times the value.
-    trim : str, one input_offset for all drives, or one for each drive; then the mean is written
-    kind : str or None, kind of vehicle, beyond which a fit is refused; None judges nothing
+    trim : str, one input_offset for all drives, or one for each drive (then their mean is written)
+    kind : str or None, kind of vehicle; a fit outside its ranges is refused; None refuses nothing
     """
 
     kind: KindName | None = None
@@ -439,20 +443,20 @@ Way = Literal["step", "ramp", "start"]
 
 
 class EvaluationSettings(StrictModel):
-    """Faults that `evaluate` injects, and when; no part of what an identification was made with.
+    """Faults that `evaluate` injects, and their times; an identification does not depend on them.
 
     Attributes
     ----------
-    fault_from_s : float, s, earliest begin of a fault in a drive
-    shortest_drive_s : float, s, drives must be longer
+    fault_from_s : float, s, earliest start of a fault in a drive
+    shortest_drive_s : float, s; shorter drives get no fault
     found_within_s : float, s of judged, excited driving within which a fault counts as found
     starts : int, instants per drive
     gains : tuple of float, factors on the outputs
     delays_s : tuple of float, s, of the input and of the outputs
     bias : float or None, on every output, in its unit
     bias_of_spread : float
-        Bias by default, as a share of the output's standard deviation in bound-setting drives.
-    ways : tuple of str, at once, growing for ``ramp_s``, or from the drive's first sample
+        The default bias as a share of the output's standard deviation in bound-setting drives.
+    ways : tuple of str, as a step, growing for ``ramp_s``, or from the drive's first sample
     ramp_s : float, s
     """
 
@@ -477,8 +481,8 @@ class EvaluationSettings(StrictModel):
 
 
 class AdviceSettings(StrictModel):
-    """Advice on each cause of alarms, one text or one an output; no part of what an identification was made
-    with."""
+    """Advice on each cause of alarms, one text or one text per output. An identification does not depend on
+    it."""
 
     gain: str | dict[str, str] | None = None
     delay: str | dict[str, str] | None = None
@@ -488,7 +492,7 @@ class AdviceSettings(StrictModel):
     noise: str | dict[str, str] | None = None
 
     def for_cause(self, cause: str, output: str) -> str | None:
-        """Advice on a cause at an output; None without any."""
+        """Advice on a cause in an output; None if there is none."""
         text = getattr(self, cause, None)
         return text.get(output) if isinstance(text, dict) else text
 
@@ -501,7 +505,7 @@ class IsolationSettings(StrictModel):
     vehicle : tuple of at most two str, parameters of the model that tyres and load change
     speed_power : dict[str, int], by output the power of the measured speed in it, as -1 of a_y / v
     parts : dict[str, str], part that measures a signal, by default its name
-    window_s : float, s after an alarm in which the part is looked for
+    window_s : float, s, length of the window after an alarm from which the part is found
     check : dict[str, str], what to check, by part
     """
 
@@ -567,7 +571,7 @@ class Project(StrictModel):
 
     @model_serializer(mode="wrap")
     def _brief(self, plain: SerializerFunctionWrapHandler) -> dict[str, object]:
-        """Leave out an unstated isolation, which older settings lack."""
+        """Leave out ``isolation`` if it is None, because older settings do not have it."""
         return {k: v for k, v in plain(self).items() if k != "isolation" or v is not None}
 
     @model_validator(mode="after")
@@ -610,7 +614,7 @@ class Project(StrictModel):
             raise ValueError(f"fit.parameters: {', '.join(sorted(unknown))} not among model.parameters")
         if self.fit.trim == "drive" and self.model.input_offset is None:
             raise ValueError(
-                "fit.trim: a trim for each drive needs model.input_offset, where its mean is written"
+                "fit.trim: a trim for each drive needs model.input_offset, which receives their mean"
             )
         if not self.model.speed_min_mps < self.model.speed_max_mps:
             raise ValueError("model: speed_min_mps must be below speed_max_mps")
@@ -622,7 +626,7 @@ class Project(StrictModel):
         return self
 
     def _require_own_bus(self, bus: OwnBus) -> None:
-        """Require that every message of ``[can]`` carries a signal of the table or a demand."""
+        """Raise an error unless every message of ``[can]`` carries a signal of the table or a demand."""
         if bus.demand and sorted(bus.demand) != sorted(s.name for s in self.inputs):
             names = ", ".join(s.name for s in self.inputs)
             raise ValueError(f"can.demand: {', '.join(bus.demand)}, expected every input: {names}")
@@ -632,7 +636,7 @@ class Project(StrictModel):
             raise ValueError(f"can.messages: {', '.join(unknown)} named by no signal's can.message")
 
     def _require_isolable(self, settings: IsolationSettings) -> None:
-        """Require that the isolation names parameters and signals that there are."""
+        """Raise an error unless the isolation names existing parameters and signals."""
         if unknown := sorted(set(settings.vehicle) - set(self.model.parameters)):
             raise ValueError(f"isolation.vehicle: {', '.join(unknown)} not among model.parameters")
         if unknown := sorted(set(settings.speed_power) - {s.name for s in self.outputs}):
@@ -642,7 +646,7 @@ class Project(StrictModel):
             raise ValueError(f"isolation.parts: no signal is named {', '.join(unknown)}")
 
     def _require_designable(self, design: DesignSettings) -> None:
-        """Require what a design needs; identification and monitor take any vehicle."""
+        """Raise an error if a design is impossible; identification and monitor accept any vehicle."""
         if self.gates:
             names = ", ".join(s.name for s in self.gates)
             raise ValueError(f"design: the ECU does not read gates, so {names} would have no effect")
@@ -702,19 +706,19 @@ class Project(StrictModel):
 
     @property
     def controlled(self) -> int:
-        """Index of the output that follows the command: the design's, by default the first."""
+        """Index of the output that follows the command: the one in ``design``, by default the first."""
         names = [s.name for s in self.outputs]
         stated = None if self.design is None else self.design.controlled
         return 0 if stated is None else names.index(stated)
 
     @property
     def n_delta(self) -> int:
-        """Number of uncertainty blocks Delta: one an output for S1_diagonal, else one."""
+        """Number of uncertainty blocks Delta: one per output for S1_diagonal, else one."""
         return self.n_y if self.bounds.structure == "S1_diagonal" else 1
 
 
 def shipped_vehicles() -> list[str]:
-    """Names of the package's vehicles."""
+    """Names of the vehicles in the package."""
     return sorted(
         p.name.removesuffix(".toml")
         for p in resources.files(__package__).joinpath("shipped").iterdir()
@@ -736,7 +740,7 @@ def load_project(vehicle: str | Path) -> Project:
     Raises
     ------
     InputError
-        If the file is refused; it names the file, the field and what was expected.
+        If the file is refused; the error names the file, the field and what was expected.
     """
     path = Path(vehicle)
     if path.suffix == ".toml" or path.is_file():
@@ -754,7 +758,7 @@ def load_project(vehicle: str | Path) -> Project:
 
 
 def _parsed(document: dict, folder: Path, where: str) -> Project:
-    """Project of a file in ``folder``, where its CAN database lies."""
+    """Project of a file in ``folder``, which also holds its CAN database."""
     project = parse_project(document, where)
     if project.can is None:
         return project
@@ -777,6 +781,6 @@ def parse_project(document: object, where: str) -> Project:
     Raises
     ------
     InputError
-        If a field is refused; it names ``where``, the field and what was expected.
+        If a field is refused; the error names ``where``, the field and what was expected.
     """
     return checked(Project, document, "a project file as project.py describes", where)

@@ -1,4 +1,4 @@
-"""Compare the project file at hand with the one that a result was made with."""
+"""Compare a project file with the one that a result was made with."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 def require_settings(stored: dict[str, Any], where: object, project: Project, vehicle: object) -> None:
     """Require that a result was made with the settings of a project.
 
-    The title does not count. A setting that the result lacks counts as its default.
+    The title does not count. A setting that the result does not have counts as the default.
 
     Parameters
     ----------
@@ -29,7 +29,7 @@ def require_settings(stored: dict[str, Any], where: object, project: Project, ve
     Raises
     ------
     InputError
-        If a setting differs; it names the first one.
+        If a setting differs; the error names the first one.
     """
     differs = artefacts.first_difference(_counted(_completed(stored, project)), _counted(_plain(project)))
     if differs is not None:
@@ -38,7 +38,7 @@ def require_settings(stored: dict[str, Any], where: object, project: Project, ve
             setting,
             "",
             f"{json.dumps(old)} in {where}, {json.dumps(new)} in {vehicle}",
-            "its own settings, or a new result with these",
+            "the settings of the result, or a new result with the project's settings",
         )
 
 

@@ -1,7 +1,7 @@
 """Bounds of a function of one variable and of its first two Taylor coefficients over an interval.
 
-It is interval arithmetic on truncated power series. An expression over + - * / **, sqrt, abs, min and max is
-evaluated with ``Taylor.variable(low, high)`` in place of its variable. The result encloses f, f' and f''/2 at
+The method is interval arithmetic on truncated power series. An expression with + - * / **, sqrt, abs, min and
+max is evaluated with ``Taylor.variable(low, high)`` as its variable. The result encloses f, f' and f''/2 at
 every point of [low, high], up to rounding.
 
 >>> f = 1 / Taylor.variable(2.0, 4.0)
@@ -27,12 +27,12 @@ class Taylor:
 
     @classmethod
     def variable(cls, low: float, high: float) -> Taylor:
-        """The variable on [low, high]."""
+        """The independent variable on [low, high]."""
         return cls(np.array([low, 1.0, 0.0]), np.array([high, 1.0, 0.0]))
 
     @classmethod
     def from_value(cls, value: Taylor | float) -> Taylor:
-        """``value``, or a number as a constant function."""
+        """Return a ``value`` of this type, or a number as a constant function."""
         if isinstance(value, Taylor):
             return value
         constant = np.array([float(value), 0.0, 0.0])
@@ -69,7 +69,7 @@ class Taylor:
         other = Taylor.from_value(other)
         if other.low[0] <= 0 <= other.high[0]:
             raise ZeroDivisionError("the denominator's interval contains zero")
-        # 1/g = 1/g0 - g1/g0^2 s + (g1^2/g0^3 - g2/g0^2) s^2, every quotient enclosed by itself
+        # 1/g = 1/g0 - g1/g0^2 s + (g1^2/g0^3 - g2/g0^2) s^2, each quotient is enclosed separately
         inverse = _interval(1 / other.high[0], 1 / other.low[0])
         g1, g2 = (_interval(other.low[k], other.high[k]) for k in (1, 2))
         square = inverse * inverse
@@ -112,7 +112,7 @@ class Taylor:
 
 
 def greatest(one: Taylor | float, other: Taylor | float) -> Taylor:
-    """Larger of two. Raises TypeError where the interval may hold a kink."""
+    """Larger of two functions. Raises TypeError if the interval may contain a kink."""
     one, other = Taylor.from_value(one), Taylor.from_value(other)
     if one.low[0] >= other.high[0]:
         return one
@@ -122,7 +122,7 @@ def greatest(one: Taylor | float, other: Taylor | float) -> Taylor:
 
 
 def least(one: Taylor | float, other: Taylor | float) -> Taylor:
-    """Smaller of two. Raises TypeError where the interval may hold a kink."""
+    """Smaller of two functions. Raises TypeError if the interval may contain a kink."""
     return -greatest(-Taylor.from_value(one), -Taylor.from_value(other))
 
 

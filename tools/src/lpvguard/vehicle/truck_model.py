@@ -1,8 +1,8 @@
-"""The paper's nominal truck at a frozen speed, for any speed and wheelbase.
+"""The paper's nominal truck model at a frozen speed, for any speed and wheelbase.
 
-It gives the continuous model, the exact zero-order hold and the frequency response. Equations and Table I
-stand in vehicle/shipped/truck.toml, with the brakes' lag as a last state. Here the input is the brake
-pressure, as in the paper.
+It gives the continuous model, the exact zero-order hold and the frequency response.
+vehicle/shipped/truck.toml holds the equations and Table I, with the lag of the brakes as an additional last
+state. Here the input is the brake pressure, as in the paper.
 
 The state is ``[r, delta, delta_dot]``: yaw rate [rad/s], road-wheel angle [rad], its rate [rad/s]. The input
 is the brake pressure difference [bar], right minus left. The outputs are ``[r, delta]``; left is positive.

@@ -1,7 +1,6 @@
-"""A bound by its samples: checked, without bins that have no data, in units near one.
+"""A bound given by samples: checked, without empty bins, scaled to values near one.
 
-Between samples the bound is linear in (ln w, ln bound). Below the first sample and above the last it is
-constant.
+Between samples, ln bound is linear in ln w. Below the first sample and above the last it is constant.
 """
 
 from __future__ import annotations
@@ -15,12 +14,12 @@ from numpy.typing import ArrayLike
 from ...base.errors import InputError
 
 _MAX_RANGE = 1e60
-"""Largest bound over smallest bound."""
+"""Largest allowed ratio of the largest to the smallest bound."""
 
 
 @dataclass(frozen=True)
 class SampledBound:
-    """A checked bound, without its NaN samples: ``omega`` (K,) in rad/s, ``bound`` (K,) over ``level``.
+    """A checked bound without NaN samples: ``omega`` (K,) in rad/s, ``bound`` (K,) divided by ``level``.
 
     ``unit`` and ``level`` are powers of two near the middle of omega and bound, so the change of units is
     exact. With y = (w/unit)^2, powers of y and squares of the bound stay in range. ``without_data``:
@@ -37,9 +36,9 @@ class SampledBound:
 
     @classmethod
     def read(cls, source: str, omega: ArrayLike, bound: ArrayLike, floor: float | None) -> SampledBound:
-        """The bound of :func:`fit.fit_overbound`'s arguments.
+        """Check the arguments of :func:`fit.fit_overbound` and return the bound.
 
-        Raises InputError, naming ``source`` and the index or frequency, on values that are no bound.
+        Raises InputError for invalid values; the error names ``source`` and the index or frequency.
         """
         omega, bound = np.asarray(omega, dtype=float), np.asarray(bound, dtype=float)
         if omega.ndim != 1 or bound.shape != omega.shape or omega.size == 0:
@@ -73,21 +72,21 @@ class SampledBound:
             raise InputError(
                 source,
                 f"bound at {w[np.argmin(b)]:g} rad/s",
-                "is 0, and no weight is zero on an interval",
+                "is 0, but no weight is zero on an interval",
                 "a floor > 0",
             )
         if b.max() / b.min() > _MAX_RANGE:
             raise InputError(
                 source,
                 f"bound at {w[np.argmin(b)]:g} rad/s",
-                f"is {b.min()} below a largest value of {b.max()}",
+                f"is {b.min()}, while the largest value is {b.max()}",
                 f"a range of at most {_MAX_RANGE:g}",
             )
         unit, level = (2.0 ** round(0.5 * (math.log2(v.min()) + math.log2(v.max()))) for v in (w, b))
         return cls(w, b / level, unit, level, tuple(omega[~known].tolist()), tuple(omega[raised].tolist()))
 
     def reciprocal(self) -> SampledBound:
-        """The same samples with 1/bound."""
+        """The same samples with 1/bound as bound."""
         return replace(self, bound=1.0 / self.bound)
 
     @property

@@ -1,18 +1,18 @@
-"""Proof that a weight lies above a bound, from the weight's coefficients alone (T10).
+"""Prove that a weight lies above a bound, from the weight's coefficients alone (T10).
 
-A grid proves nothing between its points, so the proof goes piece by piece. With y = w^2, |W|^2 = N(y)/D(y)
-for polynomials N and D. On one piece bound^2 = c y^q with a real q, which is no polynomial. But y^q is
-convex (q <= 0 or q >= 1) or concave (0 < q < 1). A straight line L lies above it on [a, b]: the chord
-where it is convex, a tangent where it is concave.
+A grid proves nothing between its points, so the proof treats one piece of the bound after the other. With y =
+w^2, |W|^2 = N(y)/D(y) for polynomials N and D. On one piece bound^2 = c y^q with a real q, which is not a
+polynomial. But y^q is convex (q <= 0 or q >= 1) or concave (0 < q < 1). A straight line L lies above it on
+[a, b]: the chord if it is convex, a tangent if it is concave.
 
 N - r^2 L D is then a polynomial. If all its Bernstein coefficients on [a, b] are >= 0, the polynomial is >=
-0, because it is a convex combination of them. Then |W| >= r bound on [a, b]. Where a coefficient is negative
+0, because it is a convex combination of them. Then |W| >= r bound on [a, b]. If a coefficient is negative,
 the interval is halved. L and the Bernstein coefficients converge quadratically, so the search ends. [0, w_1]
-is a piece with q = 0; [w_K, inf) becomes one in 1/y.
+is a piece with q = 0; [w_K, inf) becomes such a piece in 1/y.
 
 The coefficients of N and D follow from those of W in rational arithmetic. All other rounding errors are
-subtracted (up to one rounding of the frequency). A proved ratio is 5e-10 below the one attained: a weight
-that merely touches its bound is not accepted. Routh's array in rational arithmetic decides stability and
+subtracted (up to one rounding of the frequency). A proved ratio is 5e-10 below the attained ratio, so a
+weight that only touches its bound is not accepted. Routh's array in rational arithmetic decides stability and
 minimum phase. The same search with N and D exchanged bounds the worst ratio from above.
 """
 
@@ -29,15 +29,15 @@ from .bound import SampledBound
 from .weight import Weight
 
 _PROOF_MARGIN = 1e-9
-"""Relative margin, on |W|^2, of a proved ratio below the one attained."""
+"""Relative distance, on |W|^2, of a proved ratio below the attained ratio."""
 
 _PATIENCE = 18
-"""Halvings beyond which the margin grows four times with each, because rounding stops the proof."""
+"""Number of halvings after which each one multiplies the margin by four, because rounding stops the proof."""
 
 _MAX_HALVINGS = 28
 _MAX_TESTS = 300_000
 _ROUNDING = 1e-13
-"""Relative to sum |c_i| y^i: over the rounding of exp, log and the Bernstein coefficients."""
+"""Bound of the rounding of exp, log and the Bernstein coefficients, relative to sum |c_i| y^i."""
 
 
 @dataclass(frozen=True)
@@ -48,10 +48,10 @@ class Certificate:
     ----------
     ok, stable, minimum_phase : bool
     min_ratio, max_ratio : float, min_ratio <= |W|/bound <= max_ratio for all 0 <= w <= omega_max
-    min_ratio_at, max_ratio_at : float, rad/s, where the extreme is attained within 1e-9
-    omega_max : float, rad/s, inf, or the last sample when W is strictly proper
+    min_ratio_at, max_ratio_at : float, rad/s, where the ratio is attained within 1e-9
+    omega_max : float, rad/s, inf, or the last sample if W is strictly proper
     intervals : int, Bernstein tests made
-    without_data : tuple of float, rad/s, frequencies of NaN samples, bridged by the bound
+    without_data : tuple of float, rad/s, frequencies of NaN samples, over which the bound is interpolated
     """
 
     ok: bool
@@ -66,7 +66,7 @@ class Certificate:
     without_data: tuple[float, ...]
 
     def to_dict(self) -> dict:
-        """The fields as JSON can hold them; an infinite frequency becomes the string "inf"."""
+        """Convert the fields to JSON types; an infinite frequency becomes the string "inf"."""
         plain = asdict(self) | {"without_data": list(self.without_data)}
         return {k: "inf" if v == math.inf else v for k, v in plain.items()}
 
@@ -134,7 +134,7 @@ def is_hurwitz(coefficients: np.ndarray) -> bool:
 
 
 def squared(coefficients: np.ndarray, unit: float) -> np.ndarray:
-    """|p(j w)|^2 as a polynomial (n + 1,) in y = (w/unit)^2, ascending, each coefficient rounded once.
+    """Coefficients of |p(j w)|^2 (n + 1,) in y = (w/unit)^2, ascending, each rounded once.
 
     ``coefficients`` (n + 1,) of p(s) in descending powers; ``unit`` in rad/s.
     """
@@ -149,7 +149,7 @@ def squared(coefficients: np.ndarray, unit: float) -> np.ndarray:
 
 @cache
 def _blossom(degree: int) -> tuple[np.ndarray, ...]:
-    """Share (degree + 1, i + 1) of each power i's hi^j lo^(i - j) in Bernstein coefficient k."""
+    """Share (degree + 1, i + 1) of hi^j lo^(i - j) of the power y^i in Bernstein coefficient k."""
     return tuple(
         np.array(
             [
@@ -164,8 +164,8 @@ def _blossom(degree: int) -> tuple[np.ndarray, ...]:
 def _bernstein(lo: np.ndarray, hi: np.ndarray, degree: int) -> np.ndarray:
     """Bernstein coefficients (degree + 1, M, degree + 1) on [lo, hi] (M,) of every power of y.
 
-    By the blossom: coefficient k of y^i is the mean of all products of i out of (degree-k) lo's and k hi's;
-    for 0 <= lo <= hi nothing cancels within a monomial.
+    They follow from the blossom: coefficient k of y^i is the mean of all products of i out of (degree-k) lo's
+    and k hi's. For 0 <= lo <= hi nothing cancels within a monomial.
     """
     of_lo, of_hi = (x[:, None] ** np.arange(degree + 1) for x in (lo, hi))
     return np.stack(
@@ -181,15 +181,16 @@ _Pieces = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 def _least_ratio(
     top: np.ndarray, bottom: np.ndarray, samples: SampledBound, strict: bool
 ) -> tuple[float, float, int]:
-    """Proved lower limit of inf sqrt(top/bottom)/bound, where it is attained within 1e-9 (rad/s), tests made.
+    """Proved lower bound of inf sqrt(top/bottom)/bound, its frequency (rad/s, within 1e-9), number of tests.
 
-    ``top``, ``bottom``: polynomials in y, ascending, same unit as ``samples``; bottom >= 0. Returns 0 at the
-    frequency where no positive ratio could be proved. ``strict``: leave out what lies beyond the last sample.
+    ``top``, ``bottom``: polynomials in y, ascending, same unit as ``samples``; bottom >= 0. Returns 0 and the
+    frequency if no positive ratio could be proved. With ``strict``, frequencies beyond the last sample are
+    left out.
     """
     size = max(len(top), len(bottom))
     top, bottom = (np.pad(p, (0, size - len(p))) for p in (top, bottom))
     y, log_b2 = samples.y, 2.0 * np.log(samples.bound)
-    # The very logarithm of ``_bound_squared``, however close the samples.
+    # The same logarithm as in ``_bound_squared``, however close the samples are.
     slopes = np.diff(log_b2) / np.log(y[1:] / y[:-1])
     inside: _Pieces = (
         np.append(0.0, y[:-1]),
@@ -232,20 +233,20 @@ def _least_ratio(
 
 
 def _twice(shapes: _Shapes) -> _Shapes:
-    """Shape of every piece's two halves: all left ones, then all right ones."""
+    """Shape data of the two halves of every piece: all left halves, then all right halves."""
     y0, log0, slope = (np.tile(v, 2) for v in shapes)
     return y0, log0, slope
 
 
 def _bound_squared(points: np.ndarray, y0: np.ndarray, log0: np.ndarray, slope: np.ndarray) -> np.ndarray:
-    """c y^q of one piece; its value at y0 is exp(log0). q = 0 pieces may contain y = 0."""
+    """Bound^2 = c y^q of one piece; its value at y0 is exp(log0). Pieces with q = 0 may contain y = 0."""
     with np.errstate(divide="ignore", invalid="ignore"):
         exponent = np.where(slope == 0, 0.0, slope * np.log(points / y0))
     return np.exp(log0 + exponent)
 
 
 def _attained(p: np.ndarray, q: np.ndarray, points: np.ndarray, shapes: _Shapes) -> tuple[float, float]:
-    """Least p/(bound^2 q) over ``points``, less its rounding error, and the point; inf where q = 0."""
+    """Least p/(bound^2 q) over ``points`` minus its rounding error, and the point; inf where q = 0."""
     powers = points[:, None] ** np.arange(len(p))
     bottom = (powers @ q) * _bound_squared(points, *shapes)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -264,10 +265,10 @@ def _nonnegative(
     log0: np.ndarray,
     slope: np.ndarray,
 ) -> np.ndarray:
-    """True (M,) where p >= factor bound^2 q is proved on [lo, hi]."""
+    """Mask (M,) of the intervals [lo, hi] on which p >= factor bound^2 q is proved."""
     at_lo, at_hi = (_bound_squared(v, y0, log0, slope) for v in (lo, hi))
     with np.errstate(divide="ignore", invalid="ignore"):
-        middle = np.sqrt(lo * hi)  # a piece from 0 is constant, and takes no tangent
+        middle = np.sqrt(lo * hi)  # a piece from 0 is constant and needs no tangent
         tangent = _bound_squared(middle, y0, log0, slope) * (
             1.0 + slope * (np.array([lo, hi]) / middle - 1.0)
         )

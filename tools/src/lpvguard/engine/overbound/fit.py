@@ -1,20 +1,20 @@
-"""Stage 4: stable, minimum-phase weights of low order that provably lie above the identified bounds.
+"""Stage 4: fit stable, minimum-phase weights of low order that are proved to lie above the bounds.
 
 Reads   omega (K,) rad/s, bound (K,) in the unit of the weighted signal (NaN: bin without data)
 Gives   ``Weight`` W(s) with |W(jw)| >= bound(w) for every w >= 0, and its tightness
 Source  Roedoenyi & Bokor, section III, steps 6 and 7; THEORY 5.3
 
-The *worst ratio* is sup |W|/bound over all w, the ends included. A strictly proper weight cannot stay above
-a constant for ever: its claims stop at the last sample.
+The *worst ratio* is sup |W|/bound over all w, the ends included. A strictly proper weight cannot stay above a
+constant for all w, so its claims end at the last sample.
 
-Linear programs find the squared magnitude with the least worst ratio (``minimax``). Its left-half-plane
-spectral factors are the weight. One scalar gain, ``inflation``, closes the fit: it lifts the weight by the
-deficit between the grid points, which the certificate (``certificate``) found.
+Linear programs find the squared magnitude with the least worst ratio (``minimax``). The weight consists of
+its left-half-plane spectral factors. Finally the scalar gain ``inflation`` lifts the weight by the deficit
+between the grid points, which the certificate (``certificate``) found.
 
 The optimum of a given order may have a break beyond the first or last sample. It may also have a sharp
-resonance around a single deep bin of raw scatter. Both are kept, because leaving them out costs more than
-0.01 dB. ``breaks_outside`` names breaks beyond the samples. Pass an envelope where the scatter's shape is not
-wanted.
+resonance around a single deep bin of raw scatter. Both are kept, because the fit would be more than 0.01 dB
+worse without them. ``breaks_outside`` lists breaks beyond the samples. Pass an envelope if the weight should
+not follow the scatter.
 """
 
 import math
@@ -41,12 +41,12 @@ class OverboundFit:
     weight : Weight, with the inflation
     order : int
     worst_ratio_db : float, dB, proved upper limit of sup |W|/bound, 20 log10
-    lp_optimum_db : float, dB, no bound: the LP solver finds no weight of this order below it, to 1e-9
+    lp_optimum_db : float, dB, smallest ratio that the LP solver finds for this order; not a proved bound
     inflation : float, final scalar gain
     certificate : dict, of ``Certificate.to_dict()``
     ratios_db : dict[int, float], dB, worst ratio per order tried
     floored : tuple of float, rad/s, frequencies where the floor replaced a smaller bound
-    breaks_outside : tuple of float, rad/s, |pole| and |zero| beyond the first or last sample
+    breaks_outside : tuple of float, rad/s, |pole| and |zero| below the first or above the last sample
     """
 
     weight: Weight
@@ -78,9 +78,9 @@ def fit_overbound(
     omega : array_like (K,), rad/s, > 0, strictly increasing
     bound : array_like (K,), >= 0, NaN: no data, the neighbours are joined
     max_order : int, highest order, default 4
-        The smallest n is taken for which no n + k lowers the worst ratio by more than k ``tol_db``.
-    order : int, optional, this order instead, or a lower one within 0.002 dB
-    floor : float, optional, replaces smaller bounds; needed where the bound is 0
+        The chosen n is the smallest for which no n + k lowers the worst ratio by more than k ``tol_db``.
+    order : int, optional, fixed order; a lower order within 0.002 dB replaces it
+    floor : float, optional, replaces smaller bounds; needed if a bound is 0
     tol_db : float, dB, default 0.3
     proper : str, "biproper" (D(inf) > 0, for H-infinity) or "strict"
         "strict" rolls off from 10 omega[-1] at the latest; claims end at omega[-1].
@@ -93,7 +93,7 @@ def fit_overbound(
     Raises
     ------
     InputError
-        If an input does not fit; it names the index or the frequency.
+        If an input does not fit; the error names the index or the frequency.
 
     References
     ----------
@@ -138,13 +138,13 @@ def fit_overbound(
 
 
 def _outside(weight: Weight, samples: SampledBound) -> tuple[float, ...]:
-    """|pole| and |zero| (rad/s) beyond the first or last sample."""
+    """|pole| and |zero| (rad/s) below the first or above the last sample."""
     breaks = np.sort(np.abs(np.concatenate([weight.zeros(), weight.poles()])))
     return tuple(breaks[(breaks < samples.omega[0]) | (breaks > samples.omega[-1])].tolist())
 
 
 def _lowest_order(source: str, max_order: int, order: int | None, tol_db: float, proper: str) -> int:
-    """The lowest order to try; refuses options that mean nothing."""
+    """Return the lowest order to try; InputError for invalid options."""
     if proper not in ("biproper", "strict"):
         raise InputError(source, "proper", f"{proper!r}", "'biproper' or 'strict'")
     lowest = 1 if proper == "strict" else 0
@@ -157,18 +157,18 @@ def _lowest_order(source: str, max_order: int, order: int | None, tol_db: float,
 
 
 def _choose(best: dict[int, MinimaxFit], tol_db: float) -> int:
-    """Smallest order n such that no order n + k gains more than k tol_db: the first of the least sums."""
+    """Smallest order n such that no order n + k gains more than k tol_db."""
     return min(best, key=lambda n: best[n].ratio_db + tol_db * n)
 
 
 def _close(
     grid: Grid, candidate: MinimaxFit, lower_order: MinimaxFit | None
 ) -> tuple[Weight, float, Certificate, float] | None:
-    """Weight, inflation, certificate and lower limit [dB] of a candidate; None when no stable spectral factor
-    is found that beats the lower order.
+    """Weight, inflation, certificate and lower limit [dB] of a candidate; None if it is not better than the
+    lower order or has no stable spectral factor.
 
-    Where the certificate finds the ratio outside what the grid showed, that frequency joins the grid and the
-    order is fitted again.
+    If the certificate finds a worse ratio than the grid, its frequency is added to the grid and the order is
+    fitted again.
     """
     closed = None
     for _ in range(_MAX_REFITS):
@@ -191,8 +191,8 @@ def _close(
 
 
 def _lift(grid: Grid, candidate: MinimaxFit) -> tuple[Weight, float, Certificate]:
-    """Spectral factors of a candidate, the gain that puts them above the bound, and the certificate of
-    both."""
+    """Weight from the spectral factors of a candidate, the gain that lifts it above the bound, and its
+    certificate."""
     samples = grid.samples
     factors = [_spectral_factor(np.trim_zeros(p, "b")) for p in (candidate.top, candidate.bottom)]
     num, den = (p / samples.unit ** np.arange(len(p) - 1, -1, -1.0) for p in factors)
@@ -207,8 +207,8 @@ def _lift(grid: Grid, candidate: MinimaxFit) -> tuple[Weight, float, Certificate
 
 
 def _spectral_factor(square: np.ndarray) -> np.ndarray:
-    """p with |p(jw)|^2 = square(w^2) and roots in the open left half-plane, where there is one; descending
-    powers of s."""
+    """Polynomial p (descending powers of s) with |p(jw)|^2 = square(w^2) and roots in the open left
+    half-plane, if any."""
     roots = polynomial_roots(square[::-1])
     s = -np.sqrt(-roots.astype(complex))
     return math.sqrt(abs(square[-1])) * np.atleast_1d(np.real(np.poly(s)))

@@ -1,18 +1,18 @@
-"""The least worst ratio sup |W|/bound of a given order, by a sequence of linear programs.
+"""Find the least worst ratio sup |W|/bound of a given order by a sequence of linear programs.
 
 With y = w^2, |W|^2 = N(y)/D(y) for polynomials N and D. For a fixed t, "bound^2 D <= N <= t^2 bound^2 D" is
 linear in (N, D). Each program minimises the violation of the upper inequality at a trial t: the
 differential correction of Barrodale, Powell and Roberts, SIAM J. Numer. Anal. 9, 1972. Either it returns a
 better weight, or the trial t is infeasible. An infeasible t is a lower limit for any weight of that order.
-Trials sit 0.002 dB under the best weight so far.
+Each trial is 0.002 dB below the best weight so far.
 
-Rows are divided by bound^2 D of the current D (not under 1e-5 of its sum |d_i| y^i). Columns are divided by
-their largest entry after that: the max-plus scaling around that D. In this form monomials keep their
-accuracy over six decades. A verdict "infeasible" counts only when the D that scaled the rows was itself
-within 0.5 dB of the optimum.
+Rows are divided by bound^2 D of the current D (at least 1e-5 of its sum |d_i| y^i). Then columns are divided
+by their largest entry: the max-plus scaling around that D. In this form monomials keep their accuracy over
+six decades. A verdict "infeasible" counts only if the D that scaled the rows was within 0.5 dB of the
+optimum.
 
-A program carries only the necessary points. Points where its answer fails are added until none fails on a
-fine grid. That grid also contains every lightly damped pole and zero.
+A program contains only the necessary points. Points where its solution fails are added until none fails on a
+fine grid. This grid also contains every lightly damped pole and zero.
 """
 
 import itertools
@@ -32,13 +32,13 @@ _GRID_STEP = 0.02
 """Widest gap of the cutting-plane grid, in ln w."""
 
 _OUTSIDE = 1e3
-"""The grid goes on by this factor in w beyond both ends."""
+"""The grid continues by this factor in w beyond both ends."""
 
 _RESOLUTION = 1e-5
-"""Smallest D of a row, over the D it is scaled by."""
+"""Smallest D of a row, relative to the D that scales the row."""
 
 _NEAR_DB = 0.5
-"""Rows scaled by a D this near the optimum are scaled well."""
+"""Rows are well scaled if their D is this near the optimum."""
 
 _TOLERANCE = {"primal_feasibility_tolerance": 1e-10, "dual_feasibility_tolerance": 1e-10}
 _MAX_PROGRAMS, _MAX_CUTS = 60, 60
@@ -47,9 +47,9 @@ _ALL = slice(None)
 
 @dataclass(frozen=True)
 class MinimaxFit:
-    """N, D ascending in y with min N/(bound^2 D) = 1 on the grid, where it reaches ``ratio_db``.
+    """N and D, ascending in y, with min N/(bound^2 D) = 1 and the worst ratio ``ratio_db`` on the grid.
 
-    ``lower_db``: infeasible for this order on the rows ``active`` (y values) alone.
+    ``lower_db``: a level that is infeasible for this order, proved on the rows ``active`` (y values) alone.
     """
 
     order: int
@@ -61,10 +61,10 @@ class MinimaxFit:
 
 
 class Grid:
-    """The cutting-plane grid: all samples, points between them, both ends and what lies beyond.
+    """The cutting-plane grid: all samples, points between them, both ends and points beyond them.
 
     ``y`` (G,) ascending from 0 to inf, ``b2`` (G,) bound squared, ``below`` (G,) where the weight must be
-    above the bound. Grows by ``insert`` where a resonance hides between points.
+    above the bound. ``insert`` adds points if a resonance lies between grid points.
     """
 
     def __init__(self, samples: SampledBound, strict: bool):
@@ -74,7 +74,7 @@ class Grid:
         self.end = math.exp(2.0 * last)
         tail = np.geomspace(
             _GRID_STEP, math.log(_OUTSIDE), 30
-        )  # dense next to the corner of the bound at either end
+        )  # dense near the corner of the bound at both ends
         fill = [
             np.linspace(a, b, int((b - a) / _GRID_STEP) + 2)[:-1] for a, b in itertools.pairwise(self._log_w)
         ]
@@ -85,7 +85,7 @@ class Grid:
         self.b2 = np.exp(2.0 * np.interp(grid, self._log_w, self._log_b))
         if (
             self.strict
-        ):  # a ceiling that falls from a decade beyond the band, else the roll-off would start anywhere
+        ):  # an upper limit that falls from a decade beyond the band, else the roll-off would start anywhere
             self.b2[:-1] *= np.minimum(1.0, 100.0 * self.end / np.maximum(self.y[:-1], self.end))
         self.below = grid <= self.band[1] if self.strict else np.ones(grid.size, dtype=bool)
         self._grid = grid
@@ -96,13 +96,13 @@ class Grid:
             self._place(np.union1d(self._grid, 0.5 * np.log(y)))
 
     def start(self) -> np.ndarray:
-        """y of the first linear program's rows: both ends, and highest and lowest bound in each of 24
-        stretches."""
+        """y of the first linear program's rows: both ends, and largest and smallest bound in each of 24
+        intervals."""
         cells = np.array_split(np.arange(self.y.size), 24)
         return np.unique(self.y[[0, -1] + [c[f(self.b2[c])] for c in cells for f in (np.argmin, np.argmax)]])
 
     def powers(self, degree: int) -> np.ndarray:
-        """y^i, (G, degree+1); the row of y = inf is that of the leading coefficient."""
+        """Powers y^i (G, degree+1); the row of y = inf selects the leading coefficient."""
         rows = self.y[:-1, None] ** np.arange(degree + 1)
         return np.vstack([rows, np.eye(degree + 1)[-1:]])
 
@@ -114,7 +114,7 @@ class Grid:
             return np.where(low > 0, high / (self.b2 * low), math.nan)
 
     def spread_db(self, ratio2: np.ndarray, rows: np.ndarray | slice = _ALL) -> float:
-        """Worst over best ratio [dB] at ``rows``; inf when no gain lifts all of them above the bound."""
+        """Largest over smallest ratio [dB] at ``rows``; inf if no gain lifts all of them above the bound."""
         if np.isnan(ratio2).any() or not (least := ratio2[self.below[rows]].min()) > 0:
             return math.inf
         return 10.0 * math.log10(ratio2.max() / least)
@@ -123,9 +123,9 @@ class Grid:
 def least_worst_ratio(
     grid: Grid, order: int, lower_order: MinimaxFit | None, last: MinimaxFit | None = None
 ) -> MinimaxFit:
-    """Least worst ratio of one order; the lower order's candidate when it is not beaten by ``STEP_DB``.
+    """Find the least worst ratio of one order; return the lower order's fit if the gain is below ``STEP_DB``.
 
-    ``last``: what was found before the grid grew.
+    ``last``: the fit from before the grid grew.
     """
     best = lower_order
     if order == 0:
@@ -153,7 +153,7 @@ def least_worst_ratio(
         )
     for _ in range(_MAX_CUTS):
         polynomials, lower_db = _exchange(grid, active, order, bottom, lower_db, best.ratio_db, tol)
-        if polynomials is None:  # nothing better than ``best`` by tol
+        if polynomials is None:  # no fit is better than ``best`` by tol
             if tol == STEP_DB:
                 break
             tol = STEP_DB
@@ -173,7 +173,7 @@ def least_worst_ratio(
 
 
 def _resolve(grid: Grid, top: np.ndarray, bottom: np.ndarray) -> None:
-    """Put the places of lightly damped poles and zeros on the grid when the ratio fails there."""
+    """Add the frequencies of lightly damped poles and zeros to the grid if the ratio fails there."""
     for polynomial in (top, bottom):
         roots = polynomial_roots(np.trim_zeros(polynomial, "b")[::-1])
         near = np.unique(np.abs(roots[roots.real > 0]))
@@ -190,21 +190,21 @@ def _exchange(
     upper_db: float,
     tol_db: float,
 ) -> tuple[tuple[np.ndarray, np.ndarray] | None, float]:
-    """Bracket the optimum over the rows ``active`` (y values) to ``tol_db``: ((N, D) or None, level proved
-    infeasible).
+    """Bracket the optimum over the rows ``active`` (y values) to ``tol_db``: ((N, D) or None, infeasible
+    level).
 
-    ``upper_db`` is known to be reached; None when that cannot be bettered by ``tol_db``.
+    ``upper_db`` is known to be feasible; None if it cannot be improved by ``tol_db``.
     """
     rows = np.searchsorted(grid.y, active)
     powers = grid.powers(order)
     polynomials, level = None, min(lower_db + tol_db, 0.5 * (lower_db + upper_db))
-    judged_by = math.inf  # what the ``bottom`` of the last verdict "infeasible" reaches
+    judged_by = math.inf  # ratio of the ``bottom`` of the last verdict "infeasible"
     for _ in range(_MAX_PROGRAMS):
         if upper_db - lower_db <= tol_db:
             if judged_by <= lower_db + max(tol_db, _NEAR_DB):
                 break
             level = (
-                lower_db  # rows scaled by a D far from the optimum may have led to that verdict: ask again
+                lower_db  # rows scaled by a D far from the optimum may have caused that verdict: solve again
             )
         gap = upper_db - lower_db
         answer = _program(grid, powers[rows], rows, bottom, level)
@@ -229,16 +229,16 @@ def _exchange(
 def _program(
     grid: Grid, powers: np.ndarray, rows: np.ndarray, bottom: np.ndarray, level_db: float
 ) -> tuple[np.ndarray, np.ndarray] | None:
-    """(N, D) of the linear program at the trial worst ratio ``level_db``, None when the solver gives up.
+    """(N, D) of the linear program at the trial worst ratio ``level_db``, None if the solver fails.
 
     Unknowns are N' = N/t, D and tau. D_old is the D of ``bottom``:
 
         bound^2 D <= t N',  N'/t - bound^2 D <= tau bound^2 D_old,
         D >= 1e-5 D_old,  mean of D = 1,  least tau
 
-    Each row is divided by D_old, or by 1e-5 of its sum |d_i| y^i where that is more. The solver's tolerance
-    is then relative even in a sharp resonance. Where a strictly proper weight may leave the bound, N only
-    stays positive.
+    Each row is divided by D_old, or by 1e-5 of its sum |d_i| y^i if that is larger. The solver's tolerance is
+    then relative even in a sharp resonance. N must only be positive where a strictly proper weight may fall
+    below the bound.
     """
     t = 10.0 ** (level_db / 20.0)
     size = powers @ np.abs(bottom)
@@ -279,7 +279,7 @@ def _program(
 
 
 def _failures(grid: Grid, ratio2: np.ndarray, level_db: float) -> np.ndarray:
-    """y to add: the worst local extremes of the ratio outside [1, level], and one per stretch where D <=
+    """y to add: the worst local extremes of the ratio outside [1, level], and one per interval with D <=
     0."""
     bad = ~((ratio2 > 0) | (grid.strict & np.isinf(grid.y)))
     log_r = 10.0 * np.log10(np.where(ratio2 > 0, ratio2, 1.0))

@@ -1,4 +1,4 @@
-"""Step 7 of the paper: the disturbance without the share of the sensors' noise (T9)."""
+"""Step 7 of the paper: subtract the sensors' noise from the disturbance (T9)."""
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -15,7 +15,7 @@ def subtract_noise(
     disturbance_set: str,
     floor: ArrayLike,
 ) -> tuple[np.ndarray, list[float]]:
-    """Subtract the sensor's share from the disturbance's magnitude (step 7).
+    """Subtract the sensor's noise from the disturbance's magnitude (step 7).
 
     Parameters
     ----------
@@ -27,12 +27,12 @@ def subtract_noise(
     Returns
     -------
     tuple of ndarray (K,) and list of float
-        The values and the frequencies [rad/s] where only the floor is left.
+        The values, and the frequencies [rad/s] at which the floor replaces the difference.
 
     Raises
     ------
     InputError
-        If magnitudes, floors or the set are meaningless.
+        If magnitudes, floors or the set are invalid.
 
     References
     ----------

@@ -19,7 +19,7 @@ class Weight:
     Attributes
     ----------
     num : ndarray (m + 1,), m <= n, real coefficients in descending powers of s [rad/s]
-    den : ndarray (n + 1,), likewise
+    den : ndarray (n + 1,), real coefficients in the same order
 
     Raises
     ------
@@ -77,9 +77,9 @@ class Weight:
     def to_state_space(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """A (n,n), B (n,1), C (1,n), D (1,1) of W; W must be stable.
 
-        The realisation is a chain of first- and second-order sections, slow to fast. Each is written from its
-        own poles, so that poles many decades apart keep their accuracy. Powers of two scale the states until
-        the diagonals of both Gramians agree within a factor four.
+        The realisation is a chain of first- and second-order sections, slow to fast. Each section is computed
+        from its own poles, so poles many decades apart keep their accuracy. Powers of two scale the states
+        until the diagonals of both Gramians agree within a factor of four.
         """
         sections = _sections(self.num, self.den)
         a, b, c, d = np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), np.array([[1.0]])
@@ -94,12 +94,12 @@ class Weight:
         return a * scale[:, None] / scale[None, :], b * scale[:, None], c / scale[None, :], d
 
     def to_dict(self) -> dict:
-        """``num`` and ``den`` as lists, for JSON; Python prints floats so that they read back exactly."""
+        """``num`` and ``den`` as lists for JSON. Python prints floats so that they read back exactly."""
         return {"num": self.num.tolist(), "den": self.den.tolist()}
 
     @classmethod
     def from_dict(cls, data: dict) -> Weight:
-        """The weight that :meth:`to_dict` wrote; raises InputError when the keys or numbers are not there."""
+        """Read a weight written by :meth:`to_dict`; raises InputError when keys or numbers are missing."""
         try:
             return cls(num=np.asarray(data["num"], dtype=float), den=np.asarray(data["den"], dtype=float))
         except (KeyError, TypeError) as problem:
@@ -121,7 +121,7 @@ def polynomial_roots(polynomial: np.ndarray) -> np.ndarray:
 
 
 def _quadratics(roots: np.ndarray) -> list[np.ndarray]:
-    """Monic real factors of degree two, and one of degree one when the count is odd, slow to fast."""
+    """Monic real factors of degree two, and one of degree one if the degree is odd, slow to fast."""
     real = sorted((float(r.real) for r in roots if r.imag == 0), key=abs)
     factors = [np.array([1.0, -2.0 * r.real, abs(r) ** 2]) for r in roots if r.imag > 0]
     factors += [np.poly(real[i : i + 2]) for i in range(0, len(real), 2)]
@@ -131,8 +131,8 @@ def _quadratics(roots: np.ndarray) -> list[np.ndarray]:
 def _sections(num: np.ndarray, den: np.ndarray) -> list[tuple[np.ndarray, ...]]:
     """(A, B, C, D) of first- and second-order factors whose product is num/den.
 
-    Pairs come first on both sides. A proper weight has at most as many pairs of zeros as of poles, so each
-    fits.
+    Pairs come first in numerator and denominator. A proper weight has at most as many pairs of zeros as of
+    poles, so each pair of zeros finds a pair of poles.
     """
     gain = num[0] / den[0]
     tops, bottoms = _quadratics(polynomial_roots(num)), _quadratics(polynomial_roots(den))

@@ -1,5 +1,4 @@
-"""Branch and bound of the quadratic problem: over sizes (cones of directions) and scalars of repeated blocks
-(boxes)."""
+"""Branch and bound of the quadratic problem over cones of sizes and boxes of repeated blocks' scalars."""
 
 import heapq
 from collections.abc import Sequence
@@ -12,21 +11,21 @@ from lpvguard.engine.validation.quadratic import Quadratic
 from lpvguard.engine.validation.relaxation import Box, BranchNode, Relaxation, Tangent
 
 GAP = 1e-4
-"""Relative distance of the two sides at which the branch and bound stops."""
+"""Relative gap between the two bounds at which the branch and bound stops."""
 
 MAX_NODES = 5000
-"""Nodes after which the branch and bound stops with the interval that it has."""
+"""Number of nodes after which the branch and bound stops with the present interval."""
 
 SLACK = 1e-5
-"""Share by which a level that is proved anew lies below what the search found."""
+"""Relative distance by which a separately proved level lies below the level that the search found."""
 
 COSTLY = 24
-"""Multipliers of repeated blocks from which the relaxation is used sparingly."""
+"""Number of multipliers of repeated blocks from which on the relaxation is used less often."""
 
 
 @dataclass(frozen=True)
 class Interval:
-    """Two-sided answer: ``lower`` is certified, ``upper`` attained at ``z`` (n,); inf and None without."""
+    """Interval: ``lower`` is certified, ``upper`` is attained at ``z`` (n,); inf and None without a point."""
 
     lower: float
     upper: float
@@ -35,7 +34,7 @@ class Interval:
 
 
 class Incumbent:
-    """The best feasible point of a problem so far: ``cost``, and ``z`` (n,) or None."""
+    """Best feasible point of a problem so far: ``cost``, and ``z`` (n,) or None."""
 
     def __init__(self, problem: Quadratic):
         self._problem = problem
@@ -43,7 +42,7 @@ class Incumbent:
         self.z: np.ndarray | None = None
 
     def offer(self, z: np.ndarray | None) -> None:
-        """Take ``z`` (n,), repaired, when it is feasible and better."""
+        """Repair ``z`` (n,) and store it if it is feasible and better."""
         z = self._problem.repair(z) if z is not None else None
         if z is not None:
             cost = self._problem.cost(z)
@@ -51,11 +50,11 @@ class Incumbent:
                 self.cost, self.z = cost, z
 
     def improve(self, z: np.ndarray) -> None:
-        """Offer what a local search makes of ``z`` (n,)."""
+        """Offer the result of a local search from ``z`` (n,)."""
         self.offer(polish(self._problem, z))
 
     def start(self, points: Sequence[np.ndarray]) -> float:
-        """Offer the points and their local improvements; returns the least cost before any search."""
+        """Offer the points and their local improvements; return the least cost before any local search."""
         for z in points:
             self.offer(z)
         raw = self.cost
@@ -66,10 +65,10 @@ class Incumbent:
 
 @dataclass(frozen=True)
 class _NodeBounds:
-    """Bounds of a node's cost: ``lower``, the best of all; the tangent's; the relaxation's.
+    """Bounds of a node's cost: ``lower`` (the best one), those of the tangent and of the relaxation.
 
-    The relaxation's hold at the ``edges`` of the cone and on its ``central`` ray; -inf and inf when it was
-    left out. ``readings``: points to offer.
+    The relaxation's bounds hold at the ``edges`` of the cone and on its ``central`` ray. They are -inf and
+    inf if the relaxation was left out. ``readings``: points to offer.
     """
 
     lower: float
@@ -80,7 +79,7 @@ class _NodeBounds:
 
 
 def _candidates(inverse: np.ndarray | None) -> list[np.ndarray]:
-    """Rank-one readings of the primal matrix: its column of t, and its two leading vectors."""
+    """Candidate points from the primal matrix: its last column and its two leading eigenvectors."""
     if inverse is None or not np.all(np.isfinite(inverse)):
         return []
     _, vectors = np.linalg.eigh(inverse)
@@ -96,11 +95,11 @@ def minimise(
     points: Sequence[np.ndarray] = (),
     enough: float = 0.0,
 ) -> Interval:
-    """Both sides of the optimum by best-first branch and bound; the upper one is inf when no point was found.
+    """Bound the optimum by best-first branch and bound; the upper bound is inf if no point was found.
 
-    ``points``: (n,) each, known explanations to begin with. A cost below ``zero`` times that of the first
-    point found counts as zero and ends the search. The search ends as well once the optimum is known to be at
-    most ``enough``, or above it.
+    ``points`` (n,) are known explanations to begin with. A cost below ``zero`` times the cost of the first
+    found point counts as zero and ends the search. The search also ends when it is known whether the optimum
+    is at most ``enough``.
     """
     free = problem.zero()
     if free is not None:
@@ -109,10 +108,11 @@ def minimise(
 
 
 def proves(problem: Quadratic, level: float, cost: float, max_nodes: int = 2 * MAX_NODES) -> bool:
-    """Tell whether no point of ``problem`` costs less than ``level``.
+    """Prove that no point of ``problem`` costs less than ``level``; False if there is no proof.
 
-    Every node that the proof ends with is bounded anew. ``cost``, not below ``level``, is that of a known
-    point, and only decides on the cuts. False where ``max_nodes`` nodes do not suffice.
+    Every final node of the proof is bounded again. ``cost`` is the cost of a known point, not below
+    ``level``; it affects only the choice of the cuts. The result is False if ``max_nodes`` nodes are not
+    enough.
     """
     if level <= 0.0:
         return True
@@ -140,8 +140,8 @@ class _Search:
         self.relaxation, self.best = Relaxation(problem), Incumbent(problem)
         self._polished = 0
         self._first_boxes: dict[int, Box] = {}
-        # A Newton step takes the cube of the number of multipliers: with two larger blocks the relaxation
-        # costs fifty times the tangent's, and is left out where that was the better bound.
+        # A Newton step costs the cube of the number of multipliers: with two larger blocks the relaxation
+        # costs fifty times the tangent, and is left out if the tangent gave the better bound.
         self._costly = (
             sum(
                 (3 if f.repeated == "repeated_real" else 2) * len(f.a) ** 2
@@ -152,7 +152,7 @@ class _Search:
         )
 
     def run(self, max_nodes: int, zero: float, points: Sequence[np.ndarray], enough: float) -> Interval:
-        """The search; arguments as for :func:`minimise`."""
+        """Run the search; arguments as for :func:`minimise`."""
         best, serial = self.best, 0
         first = best.start([self.problem.origin(), *points])
         open_nodes = [BranchNode(0.0, serial, np.eye(self.problem.params), {})]
@@ -183,7 +183,7 @@ class _Search:
         return Interval(min(closed, remaining, best.cost), best.cost, best.z, serial + 1)
 
     def _bound(self, node: BranchNode) -> _NodeBounds:
-        """Boxes first, then the tangent, then the relaxation where these leave the node open."""
+        """Bound a node by its boxes, then the tangent, then (if still open) the relaxation."""
         best = self.best
         lower = max(node.lower, self.relaxation.box_bound(node, set(range(self.problem.params))))
         tangent = self.relaxation.tangent(node, best.cost)
@@ -199,7 +199,7 @@ class _Search:
         return _NodeBounds(lower, edges, central, tangent, readings)
 
     def _read(self, readings: list[np.ndarray]) -> None:
-        """Offer a node's readings: the first ones all with a local search, later ones where they improve."""
+        """Offer a node's points: the first ones with a local search, later ones only if they improve."""
         best = self.best
         for z in readings if self._polished < MAX_POLISHED else readings[:1]:
             before = best.cost
@@ -211,9 +211,9 @@ class _Search:
     def _branch(
         self, node: BranchNode, bounds: _NodeBounds
     ) -> list[tuple[np.ndarray, dict[int, Box]]] | None:
-        """(rays, boxes) of two nodes that cover this one; None when it cannot be cut.
+        """(rays, boxes) of two nodes that cover this node; None if it cannot be cut.
 
-        Its widest pair of rays is cut in the middle, or its widest box.
+        The widest pair of rays or the widest box is cut in the middle.
         """
         problem, best, tangent = self.problem, self.best, bounds.tangent
         cone_loss, relaxation_loss = bounds.central - bounds.edges, best.cost - bounds.central
@@ -234,10 +234,10 @@ class _Search:
         return self._cut_box(node) if np.isfinite(best.cost) else None
 
     def _cut_box(self, node: BranchNode) -> list[tuple[np.ndarray, dict[int, Box]]] | None:
-        """(rays, boxes) of the two halves of a node's widest box; None when it has none to cut."""
+        """(rays, boxes) of the two halves of a node's widest box; None if no box can be cut."""
         problem, rays, boxes = self.problem, node.rays, node.boxes
         if not boxes:
-            # A block without a cap or a size to pay for has no bounded box: its part of the interval
+            # A block without a cap and without a cost has no bounded box: its part of the interval
             # stays open.
             boxes = {
                 k: self._first_box(k) for k in problem.repeated if np.isfinite(problem.forms[k].constant)
@@ -254,7 +254,7 @@ class _Search:
         return None
 
     def _first_box(self, k: int) -> Box:
-        """Box of the scalars that the best cost so far leaves to the repeated form ``k``."""
+        """Box of the scalars of the repeated form ``k`` that the best cost so far does not exclude."""
         f = self.problem.forms[k]
         paid = self.best.cost if f.param >= 0 else 0.0
         bound = np.sqrt((f.constant + paid) * f.slope) * (1.0 + 1e-9)

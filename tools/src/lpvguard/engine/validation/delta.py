@@ -1,4 +1,4 @@
-"""The perturbation that explains the data: Delta_i from (xi_i, eta_i) for each kind of block, verified."""
+"""Build and verify the perturbation that explains the data: Delta_i from (xi_i, eta_i) for each block."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -10,16 +10,16 @@ from lpvguard.engine.blocks import Block
 
 
 def split(blocks: Sequence[Block], vector: np.ndarray, side: str) -> list[np.ndarray]:
-    """A stacked xi (Σrows,) (``side`` 'rows') or eta (Σcols,) ('cols'), or the rows of a map (Σrows or Σcols,
-    m) to it, cut by blocks."""
+    """Split a stacked xi (Σrows,) (``side`` 'rows'), eta (Σcols,) ('cols') or a map (Σ, m) to it by
+    blocks."""
     ends = np.cumsum([getattr(b, side) for b in blocks])
     return np.split(vector, ends[:-1])
 
 
 def least_size(xi: np.ndarray, eta: np.ndarray) -> float:
-    """Least ||Delta_i|| that maps ``eta`` (cols,) to ``xi`` (rows,), given that one exists: |xi| / |eta|.
+    """Least ||Delta_i|| that maps ``eta`` (cols,) to ``xi`` (rows,), if a Delta_i exists: |xi| / |eta|.
 
-    0 for xi = 0, inf for eta = 0 with another xi.
+    It is 0 for xi = 0, and inf for eta = 0 with xi not 0.
     """
     top, bottom = float(np.linalg.norm(xi)), float(np.linalg.norm(eta))
     if top == 0.0:
@@ -28,17 +28,17 @@ def least_size(xi: np.ndarray, eta: np.ndarray) -> float:
 
 
 def construct(block: Block, xi: np.ndarray, eta: np.ndarray) -> np.ndarray:
-    """Delta_i (rows, cols) of least norm with the block's structure that maps ``eta`` to ``xi``.
+    """Build the Delta_i (rows, cols) of least norm and the block's structure that maps ``eta`` to ``xi``.
 
-    A full block has xi eta^* / |eta|^2. A repeated block has ``delta I`` with ``delta = eta^* xi / |eta|^2``,
-    or its real part for a real block. Call :func:`verify` to check that this delta maps eta to xi. Raises
+    A full block is xi eta^* / |eta|^2. A repeated block is ``delta I`` with ``delta = eta^* xi / |eta|^2``; a
+    real block uses the real part. Call :func:`verify` to check that this delta maps eta to xi. Raises
     InputError when eta = 0 but xi is not.
     """
     if not np.any(xi):
         return np.zeros((block.rows, block.cols), dtype=complex)
     power = float(np.vdot(eta, eta).real)
     if power == 0.0:
-        raise InputError("Delta", f"{block.kind} block", "eta = 0 but xi is not", "an input to the block")
+        raise InputError("Delta", f"{block.kind} block", "eta = 0 but xi is not", "an eta that is not zero")
     if not block.repeated:
         return np.outer(xi, np.conj(eta)) / power
     scalar = np.vdot(eta, xi) / power
@@ -49,8 +49,8 @@ def construct(block: Block, xi: np.ndarray, eta: np.ndarray) -> np.ndarray:
 class Verification:
     """Result of :func:`verify`.
 
-    ``deltas``: Delta_i (rows, cols) a block; ``sizes`` (tau,): their largest singular values. ``residual``:
-    |e - M [xi; w]| with xi = Delta eta re-simulated, relative to |e|.
+    ``deltas``: one Delta_i (rows, cols) per block; ``sizes`` (tau,): their largest singular values.
+    ``residual``: |e - M [xi; w]| relative to |e|, where xi = Delta eta is simulated again.
     """
 
     deltas: list[np.ndarray]
@@ -61,11 +61,11 @@ class Verification:
 def verify(
     blocks: Sequence[Block], p: dict[str, np.ndarray], e, w, xi, nu, *, rtol: float = 1e-6
 ) -> Verification:
-    """Build Delta from (xi, w), close the loop with it and check that it re-simulates the data.
+    """Build Delta from (xi, w), close the loop with it and check that it reproduces the data.
 
     ``p`` holds P11, P12, P21, P22 and eta0 = P13 u; ``nu`` (tau,). The loop is closed by solving (I - P11
-    Delta) eta = P12 w + eta0 again, so xi is only used to build Delta. Raises InputError when a block is
-    larger than its nu, or the data are not reproduced: no explanation leaves this package unverified.
+    Delta) eta = P12 w + eta0, so xi is only used to build Delta. Raises InputError when a block is larger
+    than its nu or the data are not reproduced. Every explanation of this package is verified in this way.
     """
     eta = p["P11"] @ xi + p["P12"] @ w + p["eta0"]
     pieces = list(zip(blocks, split(blocks, xi, "rows"), split(blocks, eta, "cols"), strict=True))

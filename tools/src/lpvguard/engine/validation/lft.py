@@ -1,14 +1,13 @@
-"""Section II of the paper in general: the smallest perturbation sizes and disturbance that explain one
-frequency point.
+"""Section II of the paper: the smallest perturbation and disturbance that explain one frequency point.
 
     eta = P11 xi + P12 w + eta0 (= P13 u),   e = P21 xi + P22 w,   xi_i = Delta_i eta_i
 
 with full complex, repeated complex and repeated real blocks (Lim). Every solution of the second equation is
 ``x = maps @ (phi, psi, 1)`` with phi = U1^* w free inside the ball (5) and psi completely free
-(:func:`problem.parametrise`). The remaining quadratic problem is not convex (``quadratic``). The
-S-procedure (``relaxation``) inside a branch and bound (``branch``) bounds its optimum from below. A feasible
-point that a local method improves (``local_search``) bounds it from above. The two sides meet for one or two
-full blocks and a disturbance ball, and leave an interval otherwise. Both sides are returned.
+(:func:`problem.parametrise`). The remaining quadratic problem is not convex (``quadratic``). The S-procedure
+(``relaxation``) in a branch and bound (``branch``) gives the lower bound. A feasible point from a local
+search (``local_search``) gives the upper bound. The bounds meet for one or two full blocks and a disturbance
+ball; otherwise an interval is left. Both bounds are returned.
 """
 
 from dataclasses import replace
@@ -57,7 +56,7 @@ def optimum(
     Raises
     ------
     InputError
-        If e is not in Im M, gamma_w < B1, nothing explains e, or the optimum is at the well-posedness cap.
+        If e is not in Im M, gamma_w < B1, no Delta explains e, or the optimum is at the well-posedness cap.
 
     References
     ----------
@@ -96,7 +95,7 @@ def optimum(
 
 
 def _proved(problem: Quadratic, interval: Interval, source: str) -> Interval:
-    """Return the interval with a lower bound that is proved apart from its search, or raise InputError."""
+    """Return the interval if a proof separate from the search confirms its lower bound; else InputError."""
     if interval.z is None:
         return interval
     lower = interval.lower * (1.0 - SLACK)
@@ -105,14 +104,13 @@ def _proved(problem: Quadratic, interval: Interval, source: str) -> Interval:
             source,
             "the lower bound",
             f"not proved: a cost of at least {lower:.9g}; {interval.upper:.9g} is attained",
-            "data scaled to like sizes",
+            "data scaled to similar sizes",
         )
     return replace(interval, lower=lower)
 
 
 def _one_block(problem: Quadratic, caps: np.ndarray, scaled: ScaledProblem) -> Interval | None:
-    """The compiled S2 kernel for one full block with a varying input beside a plain quadratic cost; None if
-    it is not that."""
+    """Solve by the compiled S2 kernel; None unless there is one full block and a plain quadratic cost."""
     if len(problem.forms) != 3 or problem.repeated:
         return None
     ball_form, block, cost = problem.forms
@@ -150,7 +148,7 @@ def _one_block(problem: Quadratic, caps: np.ndarray, scaled: ScaledProblem) -> I
 
 
 def _last_block_is_free(problem: Lft, gamma_w: float, gap: float, max_nodes: int) -> bool:
-    """Whether an explanation without the last block was found: its smallest disturbance is at most gamma_w.
+    """Whether e is explained without the last block, by a disturbance of at most gamma_w.
 
     Only for structures with repeated blocks. Otherwise the least-squares point of
     :meth:`quadratic.Quadratic.zero` decides.
@@ -179,7 +177,7 @@ def smallest_last_block(
     max_nodes: int = MAX_NODES,
     known: Solution | None = None,
 ) -> tuple[float, float]:
-    """Bound the smallest size of the last block alone, the others free, at a given gamma_w.
+    """Bound the smallest size of the last block at a given gamma_w, with all other blocks free.
 
     Parameters
     ----------
@@ -196,7 +194,7 @@ def smallest_last_block(
     Raises
     ------
     InputError
-        If `optimum` raises it, or that size is at or above the block's own cap.
+        If `optimum` raises it, or the size is at or above the cap of the block.
     """
     scaled = scaled_problem(problem, gamma_w)
     last = len(problem.blocks) - 1
@@ -216,7 +214,7 @@ def smallest_last_block(
         raise InputError(
             problem.source,
             f"block {last + 1}",
-            f"needs {upper:.6g}, at or above its cap {cap:.6g}",
+            f"needs {upper:.6g}, which is at or above its cap {cap:.6g}",
             "a smaller size",
         )
     return lower, upper
@@ -242,7 +240,7 @@ def smallest_common_size(
 
     Returns
     -------
-    Solution, whose interval is that of t^2
+    Solution with the interval of t^2
 
     Raises
     ------
@@ -257,7 +255,7 @@ def smallest_common_size(
 
 
 def margin(problem: Lft, w_delta: ArrayLike, w_w: ArrayLike, *, gap: float = GAP) -> Solution:
-    """Compute the margin with one bound per output: least t with nu_i <= t W_delta,i and |w_j| <= t W_w,j.
+    """Compute the margin: the least t with nu_i <= t W_delta,i and |w_j| <= t W_w,j for all i and j.
 
     Parameters
     ----------
@@ -268,7 +266,7 @@ def margin(problem: Lft, w_delta: ArrayLike, w_w: ArrayLike, *, gap: float = GAP
 
     Returns
     -------
-    Solution, whose interval is that of t
+    Solution with the interval of t
 
     Raises
     ------

@@ -1,10 +1,10 @@
-"""Certificates for small Hermitian feasibility problems: max x so that sum_j y_j Q_j - x I >= 0.
+"""Certificates from small Hermitian feasibility problems: max x so that sum_j y_j Q_j - x I >= 0.
 
 The multipliers y are split into groups. A scalar group is one number >= 0. A matrix group parametrises a
 Hermitian D >= 0 (the D-scaling of a repeated block). A free group has no sign (the G-scaling of a real
 block). The traces of all groups with a sign sum to one. A positive x proves that the forms z^* Q_j z (and
-their matrix versions) cannot all be <= 0 at once: the S-procedure. The method is Newton's on a log barrier.
-The forms have at most about ten rows. Each iterate is feasible, so every bound from it is rigorous whenever
+their matrix versions) cannot all be <= 0 at once: the S-procedure. The method is Newton's method on a log
+barrier. The forms have at most about ten rows. Each iterate is feasible, so the bound is rigorous wherever
 the iteration stops.
 """
 
@@ -22,7 +22,7 @@ SIZES = ({"N": 16, "M": 64, "R": 4}, {"N": 64, "M": 256, "R": 8})
 
 @dataclass(frozen=True)
 class Cone:
-    """Multiplier cones.
+    """Cones of the multipliers.
 
     ``start[g]`` and ``size[g]`` locate group g in y. ``order[g]`` is r for Hermitian r x r PSD matrices (r =
     1: a number >= 0) and 0 for a free group.
@@ -52,9 +52,9 @@ def hermitian_basis(r: int) -> np.ndarray:
 
 
 def gram(left: np.ndarray, right: np.ndarray, basis: np.ndarray | None) -> np.ndarray:
-    """left^* B right (k, n, n) for each B of ``basis`` (k, r, r); ``left``, ``right`` (r, n).
+    """Compute left^* B right (k, n, n) for each B of ``basis`` (k, r, r); ``left``, ``right`` (r, n).
 
-    ``basis`` None: the identity alone, and ``right`` of any number of rows.
+    With ``basis`` None, B is the identity, and ``right`` can have any number of rows.
     """
     if basis is None:
         return (left.conj().T @ right)[None]
@@ -62,7 +62,7 @@ def gram(left: np.ndarray, right: np.ndarray, basis: np.ndarray | None) -> np.nd
 
 
 def cone(groups: list[tuple[str, int]]) -> Cone:
-    """Cone of groups in order: ('psd', r) for a matrix D >= 0 (r x r), ('free', r) for one without a sign."""
+    """Make the cone of groups: ('psd', r) for a matrix D >= 0 (r x r), ('free', r) for one without a sign."""
     sizes = [(r * r, r if kind == "psd" else 0) for kind, r in groups]
     start = np.concatenate([[0], np.cumsum([size for size, _ in sizes])[:-1]]).astype(int)
     normal = np.concatenate([np.arange(size) < order for size, order in sizes]).astype(float)
@@ -106,10 +106,11 @@ def _groups(c: Cone) -> list[np.ndarray]:
 
 
 def maximise_level(q: np.ndarray, c: Cone, *, relative: float = 0.1, absolute: float = 1e-9) -> Centre:
-    """Path-following for the problem of the module's docstring.
+    """Solve the problem of the module's docstring by path-following.
 
-    ``q`` (m, n, n) Hermitian forms, scaled to order one. Stops when the optimal level is known within
-    ``relative`` of its magnitude or within ``absolute``, or is proven negative.
+    ``q`` (m, n, n) Hermitian forms, scaled to order one. It stops when the optimal level is known within
+    ``relative`` of its magnitude or within ``absolute``. It also stops when the level is proved to be
+    negative.
     """
     m, n = q.shape[:2]
     q = np.ascontiguousarray(q, dtype=complex)
@@ -131,17 +132,17 @@ def maximise_level(q: np.ndarray, c: Cone, *, relative: float = 0.1, absolute: f
 def rounding(y: np.ndarray, forms: np.ndarray) -> float:
     """Bound on the rounding error (2-norm) of sum_j y_j forms_j; ``y`` (m,), ``forms`` (m, n, n).
 
-    Free multipliers may be large and cancel, and a certificate must not rest on their remainder.
+    Free multipliers may be large and cancel. A certificate must not depend on the rounding that remains.
     """
     _, n, _ = forms.shape
     return 4.0 * n * np.finfo(float).eps * float(np.abs(y) @ np.linalg.norm(forms, axis=(1, 2)))
 
 
 def reach(zero: np.ndarray, slopes: np.ndarray, error: float = 0.0) -> np.ndarray:
-    """Largest length (k,) at which ``zero`` - length ``slopes[k]`` stays >= 0.
+    """Largest length (k,) up to which ``zero`` - length ``slopes[k]`` is >= 0.
 
-    ``zero`` (n, n), ``error``: its own, 2-norm; ``slopes`` (k, n, n) >= 0. inf where nothing ends it, 0 where
-    ``zero`` itself is not positive definite.
+    ``zero`` (n, n) has the error ``error`` (2-norm); ``slopes`` (k, n, n) >= 0. The length is inf if nothing
+    limits it, and 0 if ``zero`` is not positive definite.
     """
     zero = zero - error * np.eye(len(zero))
     try:
@@ -155,7 +156,7 @@ def reach(zero: np.ndarray, slopes: np.ndarray, error: float = 0.0) -> np.ndarra
 def reaches(zeros: np.ndarray, slopes: np.ndarray, errors: np.ndarray) -> np.ndarray:
     """:func:`reach` (..., k) for many ``zeros`` (..., n, n) with ``errors`` (...,); ``slopes`` (k, n, n).
 
-    -inf where a zero is not positive definite.
+    The result is -inf where a zero is not positive definite.
     """
     _, n, _ = slopes.shape
     zeros = zeros - errors[..., None, None] * np.eye(n)
@@ -170,7 +171,7 @@ def reaches(zeros: np.ndarray, slopes: np.ndarray, errors: np.ndarray) -> np.nda
 def ray_length(
     q0: np.ndarray, level: np.ndarray, c: Cone, cutoff: float = np.inf
 ) -> tuple[float, np.ndarray | None, np.ndarray | None]:
-    """Largest certified length: (length, its multipliers y (m,) or None, primal matrix (n, n) at the end).
+    """Largest certified length, its multipliers y (m,) or None, and the primal matrix (n, n) at the end.
 
     ``q0``, ``level`` (m, n, n): the forms are Q0 - length L, L >= 0. No point satisfies all of them at a
     smaller length. The method is Dinkelbach's iteration: each y is used up to the largest length that it

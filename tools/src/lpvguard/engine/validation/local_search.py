@@ -1,4 +1,4 @@
-"""Feasible points of the quadratic problem: local improvement, and first points for repeated blocks."""
+"""Find feasible points of the quadratic problem: local improvement, and first points for repeated blocks."""
 
 import numpy as np
 from scipy.optimize import minimize
@@ -6,17 +6,17 @@ from scipy.optimize import minimize
 from lpvguard.engine.validation.quadratic import Quadratic
 
 SAMPLES = 150
-"""Draws of the scalars of repeated blocks when looking for a first feasible point."""
+"""Number of random scalars of repeated blocks in the search for a first feasible point."""
 
 MAX_POLISHED = 6
-"""Local searches from relaxed solutions before only improvements get one."""
+"""Number of relaxed solutions with a local search each; later ones get it only if they improve."""
 
 
 class _Smooth:
-    """The quadratic problem as a smooth one: min sum_j p_j over real unknowns v, with exact derivatives.
+    """The quadratic problem as a smooth problem: min sum_j p_j over real unknowns v, with exact derivatives.
 
     v = (Re theta, Im theta, p over their first sum, Re and Im of each repeated block's scalar). The
-    constraints are scaled by what they are at the starting point ``z`` (n,).
+    constraints are scaled by their values at the starting point ``z`` (n,).
     """
 
     def __init__(self, problem: Quadratic, z: np.ndarray):
@@ -57,7 +57,7 @@ class _Smooth:
         return z, p, [complex(s[2 * i], s[2 * i + 1]) for i in range(len(self.repeated))]
 
     def inequality(self, v: np.ndarray) -> np.ndarray:
-        """>= 0 where every form with a finite constant is kept."""
+        """Values that are >= 0 if every form with a finite constant is satisfied."""
         z, p, s = self.unpack(v)
         out: list[float | np.floating] = []
         for k, f in self.bounded:
@@ -72,7 +72,7 @@ class _Smooth:
         return np.array(out)
 
     def inequality_jacobian(self, v: np.ndarray) -> np.ndarray:
-        """Derivative of :meth:`inequality`, a row a form."""
+        """Derivative of :meth:`inequality`, one row per form."""
         d, (z, p, s) = self.d, self.unpack(v)
         out = np.zeros((len(self.bounded), len(v)))
         for row, (k, f) in enumerate(self.bounded):
@@ -95,7 +95,7 @@ class _Smooth:
         return out
 
     def equality(self, v: np.ndarray) -> np.ndarray:
-        """Zero where a z = delta b z for every repeated block, and delta is real for a real one."""
+        """Values that are zero if a z = delta b z for every repeated block (delta real for a real one)."""
         z, _, s = self.unpack(v)
         rest = np.concatenate(
             [self.forms[k].a @ z - s[i] * (self.forms[k].b @ z) for i, k in enumerate(self.repeated)]
@@ -124,9 +124,9 @@ class _Smooth:
 
 
 def polish(problem: Quadratic, z: np.ndarray) -> np.ndarray | None:
-    """Local improvement of a starting point ``z`` (n,): SLSQP on theta, the sizes and the repeated scalars.
+    """Improve a starting point ``z`` (n,) by SLSQP over theta, the sizes and the repeated scalars.
 
-    The answer need not be feasible; None when it is not finite.
+    The result need not be feasible; it is None if it is not finite.
     """
     smooth = _Smooth(problem, z)
     constraints = [{"type": "ineq", "fun": smooth.inequality, "jac": smooth.inequality_jacobian}]
@@ -146,7 +146,7 @@ def polish(problem: Quadratic, z: np.ndarray) -> np.ndarray | None:
 
 
 def repeated_starts(problem: Quadratic) -> list[np.ndarray]:
-    """Points (n,) inside the constant constraints for problems with repeated blocks: samples, then descent.
+    """Find points (n,) inside the constant constraints with repeated blocks: samples, then descent.
 
     The scalars are sampled up to a few times a reference size. At that size the block reaches the scale of
     its output from its constant input. The seed is fixed.

@@ -1,4 +1,4 @@
-"""One frequency point of the paper's (1), and all signals that satisfy its second equation: (4) to (7)."""
+"""One frequency point of (1) in the paper, and all signals that satisfy its second equation, (4) to (7)."""
 
 from dataclasses import dataclass
 
@@ -8,10 +8,10 @@ from lpvguard.base.errors import InputError
 from lpvguard.engine.blocks import Block
 
 RANK_TOLERANCE = 1e-10
-"""Singular values below this fraction of the largest count as zero (columns scaled to a common size)."""
+"""Singular values below this fraction of the largest one count as zero (columns have a common size)."""
 
 IMAGE_TOLERANCE = 1e-8
-"""e is in Im M when what M cannot produce is below this fraction of |e|."""
+"""e counts as in Im M if its part outside Im M is below this fraction of |e|."""
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,7 @@ class Lft:
     Raises
     ------
     InputError
-        If shapes do not fit or values are not finite; it names ``source``.
+        If shapes do not fit or values are not finite; the error names ``source``.
     """
 
     blocks: tuple[Block, ...]
@@ -68,7 +68,7 @@ class Lft:
 
     @property
     def matrices(self) -> dict[str, np.ndarray]:
-        """The matrices under the names that :func:`delta.verify` takes."""
+        """The matrices by the argument names of :func:`delta.verify`."""
         return {"P11": self.p11, "P12": self.p12, "P21": self.p21, "P22": self.p22, "eta0": self.eta0}
 
 
@@ -78,7 +78,7 @@ class Parametrisation:
 
     z = (phi, psi, 1) with ``n_phi`` entries in phi.
 
-    ``b1`` is the right side of (9), the norm of the smallest disturbance; phi = 0 attains it.
+    ``b1`` is the right side of (9), the norm of the smallest disturbance, which phi = 0 attains.
     """
 
     xi_map: np.ndarray
@@ -89,12 +89,13 @@ class Parametrisation:
 
 
 def parametrise(problem: Lft) -> Parametrisation:
-    """The SVD parametrisation (5)-(7).
+    """Compute the SVD parametrisation (5) to (7).
 
-    Raises InputError when e is not in Im M, M = [P21 P22]: no signals of this structure can produce it.
+    Raises InputError when e is not in Im M with M = [P21 P22], because no signals of this structure can
+    produce it.
 
-    The columns of M are scaled to a common size first, one factor for all of w, so that |w| keeps its
-    meaning. A model in other units has the same solutions, but its M may have a condition number of 1e10.
+    The columns of M are first scaled to a common size. All of w gets one factor, so that |w| keeps its
+    meaning. Without scaling, the units of a model could give M a condition number of 1e10.
     """
     m = np.hstack([problem.p21, problem.p22])
     p, norm_e = problem.p21.shape[1], np.linalg.norm(problem.e)
@@ -112,7 +113,7 @@ def parametrise(problem: Lft) -> Parametrisation:
         raise InputError(
             problem.source,
             "e",
-            f"not in Im [P21 P22]: {outside:.3g} of |e| = {norm_e:.3g} cannot be produced",
+            f"not in Im [P21 P22]: {outside:.3g} of |e| = {norm_e:.3g} cannot be explained",
             "a structure that can produce e, for example P22 = I",
         )
     particular = scale * (vh[:rank].conj().T @ ((u[:, :rank].conj().T @ problem.e) / s[:rank]))

@@ -1,4 +1,4 @@
-"""The non-convex quadratic problem of an LFT point: least sizes p for signals z.
+"""The non-convex quadratic problem of an LFT point: the least sizes p over all signals z.
 
 min sum_j p_j over z = (theta, 1) and p >= 0 subject to :class:`Form` s. A full block or the disturbance's
 ball is a form. A repeated block is a form and an equation a z = delta b z with one scalar delta.
@@ -12,16 +12,16 @@ import numpy as np
 from lpvguard.engine.validation.problem import RANK_TOLERANCE
 
 CANCELLED = 1e-12
-"""A signal below this fraction of the terms that it is the sum of is their rounding."""
+"""A sum of terms that is below this fraction of the terms counts as rounding."""
 
 
 @dataclass(frozen=True)
 class Form:
-    """|a z|^2 <= (constant + sizes[param]) slope |b z|^2, and for a repeated block a z = delta b z as well.
+    """Constraint |a z|^2 <= (constant + sizes[param]) slope |b z|^2; if repeated, also a z = delta b z.
 
-    ``a`` (r, n), ``b`` (r', n); r = r' for a repeated block, whose kind is ``repeated``. ``param`` -1: the
-    constant alone; it is inf when a repeated block has no bound (its own cap is infinite). ``parts``: the
-    signals that a is stacked from, when there are several.
+    ``a`` (r, n), ``b`` (r', n); r = r' for a repeated block, whose kind is ``repeated``. ``param`` -1 means
+    that only the constant acts. The constant is inf if a repeated block has no bound (an infinite cap).
+    ``parts``: the signals that are stacked in a, if there are several.
     """
 
     a: np.ndarray
@@ -34,15 +34,15 @@ class Form:
 
 
 def cancels(a: np.ndarray, z: np.ndarray) -> bool:
-    """Whether a @ z is zero up to the rounding of its own terms; ``a`` (r, n), ``z`` (n,)."""
+    """Whether a @ z is zero up to the rounding of its terms; ``a`` (r, n), ``z`` (n,)."""
     return bool(np.linalg.norm(a @ z) <= CANCELLED * np.linalg.norm(np.abs(a) @ np.abs(z)))
 
 
 class Quadratic:
-    """min sum_j p_j over z = (theta, 1) of length ``n`` and p >= 0 (``params`` of them) subject to ``forms``.
+    """Problem: min sum_j p_j over z = (theta, 1) of length ``n`` and ``params`` sizes p >= 0, s.t. ``forms``.
 
-    ``repeated``: indices of the forms of repeated blocks. ``boxed``: sizes that one repeated block alone
-    decides. The box of that block bounds the size, so it needs no separate direction.
+    ``repeated``: indices of the forms of repeated blocks. ``boxed``: sizes that depend on one repeated block
+    only. The box of that block bounds the size, so the size needs no separate direction.
     """
 
     def __init__(self, forms: Sequence[Form], params: int, n: int):
@@ -54,11 +54,11 @@ class Quadratic:
         }
 
     def origin(self) -> np.ndarray:
-        """(n,) the point theta = 0."""
+        """The point theta = 0, (n,)."""
         return np.append(np.zeros(self.n - 1, dtype=complex), 1.0)
 
     def scalar(self, k: int, z: np.ndarray) -> complex:
-        """Scalar of repeated form ``k`` that maps b z to a z best, real for a real block; 0 for b z = 0."""
+        """Best scalar of repeated form ``k`` to map b z to a z, real for a real block; 0 for b z = 0."""
         f = self.forms[k]
         xi, eta = f.a @ z, f.b @ z
         power = np.vdot(eta, eta).real
@@ -66,7 +66,7 @@ class Quadratic:
         return d.real if f.repeated == "repeated_real" else d
 
     def cost(self, z: np.ndarray) -> float:
-        """Sum of the least sizes that ``z`` (n,) needs; inf outside the constant constraints."""
+        """Sum of the least sizes for ``z`` (n,); inf outside the constant constraints."""
         p = np.zeros(self.params)
         for f in self.forms:
             a, b = np.linalg.norm(f.a @ z) ** 2, f.slope * np.linalg.norm(f.b @ z) ** 2
@@ -80,14 +80,15 @@ class Quadratic:
     def on_subspace(
         self, z: np.ndarray, deltas: dict[int, complex]
     ) -> tuple[np.ndarray, np.ndarray | None] | None:
-        """``z`` projected on the constraints a z = delta b z, and a basis (n - 1, m) of what stays free.
+        """Project ``z`` on the constraints a z = delta b z; return also a basis (n - 1, m) of free
+        directions.
 
-        ``deltas``: scalar per index of a repeated form. The basis is None without any (everything is free);
-        the answer is None when the constraints have no solution.
+        ``deltas``: scalar by index of a repeated form. The basis is None without repeated forms, because all
+        directions are free. The result is None if the constraints have no solution.
         """
         if not deltas:
             return z, None
-        # Rows of a block in its own units: sizes of blocks may be 1e10 apart.
+        # The rows of each block are scaled separately: sizes of blocks may be 1e10 apart.
         scaled, sizes = [], []
         for k, d in deltas.items():
             f = self.forms[k]
@@ -112,7 +113,7 @@ class Quadratic:
         z, null = projected
         fixed = [f for f in self.forms if f.param < 0 and not f.repeated and np.isfinite(f.constant)]
         for f in fixed:
-            # A constant constraint is a ball, its b z the same for all theta: shrink towards its centre.
+            # A constant constraint is a ball, as b z is the same for all theta: shrink towards its centre.
             limit = f.constant * f.slope * np.linalg.norm(f.b @ z) ** 2
             if np.linalg.norm(f.a @ z) ** 2 <= limit * (1.0 + 1e-12):
                 continue
@@ -129,10 +130,10 @@ class Quadratic:
         return z
 
     def inside(self, deltas: dict[int, complex]) -> tuple[float, np.ndarray | None]:
-        """(ratio, z): the point with a z = delta b z that violates the constant constraints least.
+        """(ratio, z) of the point with a z = delta b z that violates the constant constraints least.
 
-        ``deltas`` as for :meth:`on_subspace`. A ratio of at most 1 is inside; it is inf, and z None, where no
-        point has these scalars.
+        ``deltas`` as for :meth:`on_subspace`. A point with a ratio of at most 1 is inside. The ratio is inf
+        and z is None if no point has these scalars.
         """
         projected = self.on_subspace(self.origin(), deltas)
         if projected is None:
@@ -153,7 +154,7 @@ class Quadratic:
         ), z
 
     def zero(self) -> np.ndarray | None:
-        """A point (n,) that needs no size at all, when there is one: the optimum is then exactly zero."""
+        """A point (n,) with all sizes zero, if there is one; the optimum is then exactly zero."""
         if any(f.repeated and f.param < 0 for f in self.forms):
             return None
         # Each signal in its own units: xi and w may be 1e14 apart, or their weights, and one must not hide

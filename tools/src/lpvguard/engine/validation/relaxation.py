@@ -1,11 +1,11 @@
 """Certified lower bounds of the quadratic problem over a node of the branch and bound (S-procedure).
 
-Two facts make the branch and bound short. First, a certificate y found at sizes p stays valid for every p'
-with sum_j y_j Q_j(p') >= 0. That is a convex set that contains [0, p]. A cone of directions is therefore
-bounded at its edges, with an error of second order in its angle (Tuy). Second, a certificate is an eigenvalue
-problem in the length along a ray. Each multiplier vector is therefore used up to the largest length that it
-proves (Dinkelbach). With the scalars of repeated blocks as linear constraints, a certificate is affine in
-them too. A box is therefore bounded at its corners, again with an error of second order
+Two facts make the branch and bound short. First, a certificate y for sizes p stays valid for every p' with
+sum_j y_j Q_j(p') >= 0. This set is convex and contains [0, p]. A cone of directions is therefore bounded at
+its edges, with an error of second order in its angle (Tuy). Second, a certificate along a ray is an
+eigenvalue problem in the length. Each multiplier vector is therefore used up to the largest length that it
+proves (Dinkelbach). If the scalars of repeated blocks enter as linear constraints, a certificate is also
+affine in them. A box is therefore bounded at its corners, again with an error of second order
 (:meth:`Relaxation.tangent`).
 """
 
@@ -22,12 +22,12 @@ from lpvguard.engine.validation.problem import RANK_TOLERANCE
 from lpvguard.engine.validation.quadratic import Form, Quadratic
 
 PENALTIES = 10.0 ** np.arange(-2.0, 5.0)
-"""Weights of |A z|^2 beside the certificate's norm that :meth:`Relaxation.tangent` tries."""
+"""Penalties on |A z|^2, relative to the certificate's norm, that :meth:`Relaxation.tangent` tries."""
 
 
 @dataclass(frozen=True)
 class Box:
-    """Closed box of a repeated block's scalar: real interval, or rectangle of the complex plane."""
+    """Closed box for a repeated block's scalar: a real interval or a rectangle of the complex plane."""
 
     low: complex
     high: complex
@@ -39,7 +39,7 @@ class Box:
 
     @property
     def radius(self) -> float:
-        """Half the distance of ``low`` and ``high``."""
+        """Half the distance between ``low`` and ``high``."""
         return 0.5 * abs(self.high - self.low)
 
     @property
@@ -56,13 +56,13 @@ class Box:
 
     @property
     def corners(self) -> list[complex]:
-        """Two ends of an interval, four corners of a rectangle."""
+        """The two ends of an interval, or the four corners of a rectangle."""
         low, high = self.low, self.high
         ends = [low, complex(high.real, low.imag), complex(low.real, high.imag), high]
         return list(dict.fromkeys(ends))
 
     def halves(self) -> tuple[Box, Box]:
-        """The box cut in the middle of its longer side."""
+        """Two halves of the box, cut in the middle of its longer side."""
         d = self.high - self.low
         cut = 0.5 * d.real if d.real >= d.imag else 0.5j * d.imag
         return Box(self.low, self.high - cut), Box(self.low + cut, self.high)
@@ -70,10 +70,10 @@ class Box:
 
 @dataclass(order=True)
 class BranchNode:
-    """A cone of sizes, spanned by ``rays`` (k, params), and a box per repeated form (``boxes``, by index).
+    """A cone of sizes that ``rays`` (k, params) span, and a box per repeated form (``boxes``, by index).
 
-    ``lower``: certified bound of the cost over it. ``small``: at the parent the tangent's bound was the
-    better one.
+    ``lower``: certified bound of the cost over the node. ``small``: the tangent gave the better bound at the
+    parent.
     """
 
     lower: float
@@ -87,8 +87,8 @@ class BranchNode:
 class Tangent:
     """Bounds of :meth:`Relaxation.tangent` and the primal matrix (n, n), or None.
 
-    ``lower``: over the node. ``centre``: at the boxes' centre on the central ray. ``box``: over the corners
-    there. ``cone``: over the rays there.
+    ``lower``: over the node. ``centre``: at the boxes' centre on the central ray. ``box``: over the boxes'
+    corners on the central ray. ``cone``: over the rays at the boxes' centre.
     """
 
     lower: float
@@ -100,7 +100,7 @@ class Tangent:
 
 @dataclass(frozen=True)
 class _Generators:
-    """Parts of a certificate: Q0 (m, n, n) and level part G (m, n, n), parameter of each (m,), multiplier
+    """Parts of a certificate: Q0 (m, n, n), level part G (m, n, n), their parameters (m,), multiplier
     cone."""
 
     q0: np.ndarray
@@ -109,12 +109,12 @@ class _Generators:
     cone: lmi.Cone
 
     def shares(self, rays: np.ndarray) -> np.ndarray:
-        """(k, m) size of each generator's parameter on ``rays`` (k, params); 0 where it has none."""
+        """(k, m) size of each generator's parameter on ``rays`` (k, params); 0 if it has no parameter."""
         return np.column_stack([rays, np.zeros(len(rays))])[:, self.param]
 
 
 class _HeldScalars:
-    """The repeated blocks of a node as linear constraints (a - d b) z = 0, with their scalars d held."""
+    """The repeated blocks of a node as linear constraints (a - d b) z = 0 with fixed scalars d."""
 
     def __init__(self, problem: Quadratic, boxes: dict[int, Box]):
         self._forms: list[Form] = [problem.forms[k] for k in boxes]
@@ -125,13 +125,13 @@ class _HeldScalars:
         self._unit = [1.0 / (np.linalg.norm(f.a) + abs(c) * np.linalg.norm(f.b)) for f, c in forms]
 
     def rows(self, scalars: np.ndarray) -> np.ndarray:
-        """Rows a - d b of all blocks, each block in a separate unit."""
+        """Rows a - d b of all blocks; each block is scaled separately."""
         return np.vstack(
             [u * (f.a - d * f.b) for u, f, d in zip(self._unit, self._forms, scalars, strict=True)]
         )
 
     def base(self, scalars: np.ndarray) -> float:
-        """Sizes that the scalars alone decide, each |d|^2 replaced by its tangent at the centre."""
+        """Sizes that depend on the scalars only, with each |d|^2 replaced by its tangent at the centre."""
         centre = self.centre
         return sum(
             (2.0 * (centre[i].conjugate() * scalars[i]).real - abs(centre[i]) ** 2) / self._forms[i].slope
@@ -141,7 +141,7 @@ class _HeldScalars:
 
 
 class Relaxation:
-    """Lower bounds of a :class:`quadratic.Quadratic` over nodes."""
+    """Computes lower bounds of a :class:`quadratic.Quadratic` over nodes."""
 
     def __init__(self, problem: Quadratic):
         self.problem = problem
@@ -184,7 +184,7 @@ class Relaxation:
         return _Generators(np.array(q0), np.array(level), np.array(param), lmi.cone(groups))
 
     def box_bound(self, node: BranchNode, params: set[int]) -> float:
-        """Sum of the sizes among ``params`` that the boxes of repeated blocks force."""
+        """Least sum of the sizes ``params`` that the boxes of repeated blocks allow."""
         total = np.zeros(self.problem.params)
         for k, box in node.boxes.items():
             f = self.problem.forms[k]
@@ -193,7 +193,7 @@ class Relaxation:
         return float(total.sum())
 
     def lower(self, node: BranchNode, cutoff: float) -> tuple[float, float, np.ndarray | None]:
-        """Certified lower bound over a node, bound on the central ray, and primal matrix (n, n) or None."""
+        """Certified lower bound over a node, bound on its central ray, and primal matrix (n, n) or None."""
         g = self._generators(node.boxes) if self.problem.repeated or self._plain is None else self._plain
         base = self.box_bound(node, self.problem.boxed)
         shares = g.shares(node.rays)
@@ -207,14 +207,14 @@ class Relaxation:
         return base + edges, base + length, inverse
 
     def tangent(self, node: BranchNode, cutoff: float) -> Tangent | None:
-        """Second bound over a node with boxes, with an error of second order in their size; None without one.
+        """Second bound over a node with boxes, with an error of second order in their size; None if it fails.
 
         At the boxes' centre c the repeated blocks are linear constraints, A(c) z = 0 with rows a - c b. The
-        other forms give multipliers y on its kernel. Finsler: some Y makes the certificate Q(y, p) + Y^* A(c)
-        + A(c)^* Y positive on the whole space. With the same y and Y it is affine in the scalars and the
-        sizes. It therefore holds over the box when it holds at the corners, and |delta|^2 lies above its
-        tangent at c. Y's part outside the kernel is free: a ladder of penalties on |A z|^2 is tried, and the
-        best corner bound kept.
+        other forms give multipliers y on the kernel of A(c). By Finsler's lemma some Y makes the certificate
+        Q(y, p) + Y^* A(c) + A(c)^* Y positive on the whole space. With the same y and Y the certificate is
+        affine in the scalars and the sizes. It therefore holds over the box if it holds at the corners,
+        because |delta|^2 lies above its tangent at c. The part of Y outside the kernel is free: several
+        penalties on |A z|^2 are tried, and the best corner bound is kept.
         """
         if self._plain is None or not node.boxes:
             return None
@@ -259,8 +259,8 @@ class Relaxation:
 def _lifts(at: np.ndarray, kernel: np.ndarray, normal: np.ndarray, s: np.ndarray) -> np.ndarray:
     """(penalties, n, rank) matrices ``lift`` with Y^* = lift pinv(A N), N = ``normal``.
 
-    A lift makes the certificate block diagonal: ``at`` on the kernel, the penalty outside. ``s``: singular
-    values of A.
+    A lift makes the certificate block diagonal, with ``at`` on the kernel and the penalty outside. ``s``:
+    singular values of A.
     """
     outside = normal.conj().T @ at @ normal
     penalties = np.linalg.norm(at) * PENALTIES

@@ -27,7 +27,7 @@ from lpvguard.base.errors import InputError
 class S1Result:
     """Explanation of every point in class S1.
 
-    Everything is NaN where an input was not finite.
+    All values are NaN where an input was not finite.
 
     Attributes
     ----------
@@ -46,7 +46,7 @@ class S1Result:
 
 
 def _points(source: str, e, z, *extra: tuple[str, object, bool]):
-    """Broadcast to (points, n_y) complex and (points[, n_y]) real contiguous arrays; returns them and the
+    """Broadcast to contiguous arrays (points, n_y) complex and (points[, n_y]) real; also return the
     shape."""
     e, z = np.asarray(e, dtype=complex), np.asarray(z, dtype=complex)
     if e.ndim == 0 or z.ndim == 0 or e.shape[-1] != z.shape[-1] or e.shape[-1] == 0:
@@ -79,7 +79,7 @@ def _points(source: str, e, z, *extra: tuple[str, object, bool]):
 def solve(e, z, gamma_w) -> S1Result:
     """Find the smallest |delta| with ||E - delta Z||_2 <= gamma_w at every point.
 
-    Compiled it takes about 20 ns a point.
+    The compiled version takes about 20 ns per point.
 
     Parameters
     ----------
@@ -130,7 +130,7 @@ class LeastSquares(NamedTuple):
 
 
 def least(e, z) -> LeastSquares:
-    """Compute |E|, |Z|, B1 and |delta0|, consistent with `solve` and `least_squares_delta`.
+    """Compute |E|, |Z|, B1 and |delta0| as in `solve` and `least_squares_delta`.
 
     Parameters
     ----------
@@ -167,7 +167,7 @@ def least_squares_delta(e, z) -> np.ndarray:
 
 @dataclass(frozen=True)
 class TradeoffResult:
-    """Per point: J of (8) as ``cost``, nu = |delta|, and the delta and w that attain it.
+    """Result per point: J of (8) as ``cost``, nu = |delta|, and the delta and w that attain it.
 
     Shapes as in :class:`S1Result`. ``cost`` and ``nu`` are inf where gamma_w < B1.
     """
@@ -181,8 +181,8 @@ class TradeoffResult:
 def tradeoff(e, z, gamma_w, lambda_nu, lambda_w) -> TradeoffResult:
     """Minimise (8): lambda_nu nu^2 + sum_j lambda_w,j |w_j|^2 subject to |w| <= gamma_w.
 
-    The cost is an isotropic quadratic in delta. Its minimiser is therefore the unconstrained one, projected
-    on the disc of explanations.
+    The cost is an isotropic quadratic function of delta. Its minimiser is therefore the unconstrained
+    minimiser, projected on the disc of explanations.
 
     Parameters
     ----------
@@ -229,7 +229,7 @@ def tradeoff(e, z, gamma_w, lambda_nu, lambda_w) -> TradeoffResult:
     outside = distance > radius
     pull = np.divide(radius, distance, out=np.ones(len(e)), where=outside)
     delta = np.where(outside, centre + pull * offset, target)
-    # Close to the target the centre would cancel: the way there is the smallest delta that explains what the
+    # Close to the target the centre would lose digits: the step is the smallest delta that explains what the
     # target leaves.
     near = outside & (distance < 2.0 * radius)
     rest = solve(e[near] - target[near, None] * z[near], z[near], gamma[near])
@@ -244,20 +244,17 @@ def tradeoff(e, z, gamma_w, lambda_nu, lambda_w) -> TradeoffResult:
 
 
 MAX_OUTPUTS = 64
-"""Outputs the compiled margin accepts (a fixed array on its stack)."""
+"""Largest number of outputs for the compiled margin (a fixed array on its stack)."""
 
 
 def margin(e, z, w_delta, w_w) -> np.ndarray:
-    """Compute the on-line margin: least t with |delta_j| <= t W_delta,j and |E_j - delta_j Z_j| <= t W_w,j.
+    """Compute the on-line margin: the least t with |delta_j| <= t W_delta,j, |E_j - delta_j Z_j| <= t W_w,j.
 
-    With n_delta = 1 one delta is common to all outputs: a weighted 1-centre problem of n_y + 1 discs. By
-    Helly's
-    theorem it is the worst of the problems of three discs. Each of those is a pair of discs, or the smaller
-    root of a
-    quadratic. With n_delta = n_y each output has its own delta: the largest |E_j| / (W_w,j + W_delta,j
-    |Z_j|). At
-    t > 1 no complex delta and w within the bounds explain the frame. A causal Delta with memory may
-    (tools/README.md).
+    With n_delta = 1 all outputs share one delta: this is a weighted 1-centre problem of n_y + 1 discs. By
+    Helly's theorem its solution is the worst of all problems of three discs. Each of these is a pair of
+    discs, or the smaller root of a quadratic equation. With n_delta = n_y each output has a separate delta,
+    and t is the largest |E_j| / (W_w,j + W_delta,j |Z_j|). If t > 1, no complex delta and w within the bounds
+    explain the frame. A causal Delta with memory may still explain it (tools/README.md).
 
     Parameters
     ----------

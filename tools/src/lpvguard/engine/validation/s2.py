@@ -23,18 +23,18 @@ from lpvguard.base import native
 from lpvguard.base.errors import InputError
 
 GAP = 1e-4
-"""Relative distance of the two sides at which the branch and bound stops."""
+"""Relative gap between the two bounds at which the branch and bound stops."""
 
 NEAR_CAP = 1.0 - 1e-4
-"""An optimum at this fraction of the well-posedness cap or above is the cap's doing, not the data's."""
+"""An optimum at or above this fraction of the well-posedness cap results from the cap, not from the data."""
 
 MAX_N = 16
-"""Free variables plus one that the kernel accepts."""
+"""Largest number of free variables plus one that the kernel accepts."""
 
 
 @dataclass(frozen=True)
 class FormsResult:
-    """Per point: certified ``lower``, attained ``upper``, the size ``p`` and point ``z`` (n,) that attain it.
+    """Result per point: certified ``lower``, and ``upper``, which size ``p`` and point ``z`` (n,) attain.
 
     ``duals``: dual problems used.
     """
@@ -47,7 +47,7 @@ class FormsResult:
 
 
 def solve_forms(forms: np.ndarray, z0: np.ndarray, p_max, *, gap: float = GAP) -> FormsResult:
-    """min z* Q0 z + p over z = (theta, 1), p <= p_max, s.t. z* Qw z <= 0 and z* (A - p B) z <= 0.
+    """Solve min z* Q0 z + p over z = (theta, 1), p <= p_max, s.t. z* Qw z <= 0 and z* (A - p B) z <= 0.
 
     ``forms`` (points, 4, n, n) are the Hermitian Q0, Qw, A and B. They are scaled so that the cost at the
     feasible ``z0`` (points, n) is about one. The last element of ``z0`` is 1. ``p_max`` has the shape
@@ -70,12 +70,12 @@ def solve_forms(forms: np.ndarray, z0: np.ndarray, p_max, *, gap: float = GAP) -
 
 @dataclass(frozen=True)
 class S2Result:
-    """Per point (K,): certified ``lower`` <= optimum <= attained ``upper``, and the attaining explanation.
+    """Result per point (K,): certified ``lower`` <= optimum <= ``upper``, which the explanation attains.
 
     ``nu_i``, ``nu_s`` (K,): the sizes. ``xi`` (K, 1 + n_x), ``w`` (K, n_y): the signals. ``duals``: dual
     problems used. Points with gamma_w < B1 have inf bounds and NaN signals. ``at_cap`` marks points whose
-    best nu_s is the well-posedness cap itself, or whose bounds did not meet near it. Their numbers do not
-    bound the vehicle: they show that the class does not fit.
+    best nu_s is the well-posedness cap, or whose bounds did not meet near the cap. Their numbers do not bound
+    the vehicle; they show that the class does not fit.
     """
 
     lower: np.ndarray
@@ -95,7 +95,7 @@ def _gram(m: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class _Data:
-    """Checked arguments of :func:`solve`, one row a point."""
+    """Checked arguments of :func:`solve`, one row per point."""
 
     e: np.ndarray
     u: np.ndarray
@@ -142,7 +142,7 @@ class _Data:
 
 @dataclass(frozen=True)
 class _Maps:
-    """Well-scaled coordinates z = (theta, 1): ``xi``, ``w`` and ``eta`` (K, ., n) map z to signals."""
+    """Maps from well-scaled coordinates z = (theta, 1) to signals: ``xi``, ``w`` and ``eta`` (K, ., n)."""
 
     xi: np.ndarray
     w: np.ndarray
@@ -150,7 +150,7 @@ class _Maps:
 
     @classmethod
     def from_data(cls, data: _Data) -> _Maps:
-        """xi = (xi_i, xi_s) is free: w = e - C d with d = h_i xi_i + h_s xi_s, and eta = x_nom + d."""
+        """Maps with free xi = (xi_i, xi_s): w = e - C d with d = h_i xi_i + h_s xi_s, and eta = x_nom + d."""
         e, points, n_x = data.e, len(data.e), data.x_nom.shape[-1]
         d = n_x + 1
         to_d = np.concatenate([data.h_i[:, :, None], data.h_s], axis=2)
@@ -179,7 +179,8 @@ def _at(maps: np.ndarray, z: np.ndarray) -> np.ndarray:
 
 
 def _problem(data: _Data, maps: _Maps, start: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Forms (K, 4, n, n) of :func:`solve_forms` and the cost (K,) at ``start`` (K, n) that they are over."""
+    """Forms (K, 4, n, n) of :func:`solve_forms`, scaled by the cost (K,) at ``start`` (K, n), and this
+    cost."""
     per_i = data.lam_i / np.abs(data.u) ** 2
     q0, a, b = per_i[:, None, None] * _gram(maps.xi[:, :1]), _gram(maps.xi[:, 1:]), _gram(maps.eta)
     ball = _gram(maps.w) / data.gamma[:, None, None] ** 2
@@ -238,7 +239,7 @@ def solve(
     Raises
     ------
     InputError
-        If shapes do not fit, or a value is not finite or not positive; it names the point.
+        If shapes do not fit, or a value is not finite or not positive; the error names the point.
 
     References
     ----------
@@ -270,7 +271,7 @@ def solve(
     z[~np.isfinite(upper)] = np.nan
     xi, w, eta = _at(maps.xi, z), _at(maps.w, z), _at(maps.eta, z)
     nu_s = np.linalg.norm(xi[:, 1:], axis=1) / np.linalg.norm(eta, axis=1)
-    # A disturbance alone explains these: the optimum is zero, which a relative gap cannot reach.
+    # A disturbance alone explains these points. Their optimum is zero, which a relative gap cannot reach.
     silent = np.linalg.norm(e, axis=1) <= gamma
     for array, value in ((lower, 0.0), (upper, 0.0), (nu_s, 0.0), (xi, 0.0), (w, e[silent])):
         array[silent] = value
@@ -280,8 +281,8 @@ def solve(
 
 
 def _inside_ball(w_map: np.ndarray, gamma: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(B1, z) per point: B1 = min |w|; z the point nearest to theta = 0 on the way to it with |w| <= gamma;
-    where gamma < B1 all the way."""
+    """(B1 = min |w|, z) per point: z lies between theta = 0 and the point with |w| = B1, as near to 0 as |w|
+    <= gamma allows."""
     w_t, w_theta = w_map[:, :, -1], w_map[:, :, :-1]
     u, s, vh = np.linalg.svd(w_theta, full_matrices=False)
     keep = s > 1e-12 * s[:, :1]
@@ -290,7 +291,7 @@ def _inside_ball(w_map: np.ndarray, gamma: np.ndarray) -> tuple[np.ndarray, np.n
     b1 = np.linalg.norm(rest, axis=1)
     room = np.sqrt(np.maximum((gamma - b1) * (gamma + b1), 0.0))
     size = np.linalg.norm(along, axis=1)
-    # A hair inside, so that rounding does not put the start outside.
+    # Slightly inside, so that rounding does not put the start outside.
     fraction = np.where(size > room, 1.0 - (1.0 - 1e-9) * room / np.maximum(size, 1e-300), 0.0)
     inverse = np.divide(1.0, s, out=np.zeros_like(s), where=keep)
     theta = -_at(np.swapaxes(vh.conj(), 1, 2), inverse * along) * fraction[:, None]

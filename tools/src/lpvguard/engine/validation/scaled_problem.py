@@ -1,4 +1,4 @@
-"""An LFT point as a quadratic problem in well-scaled coordinates, and the way back to signals and Delta."""
+"""Scale an LFT point to a well-conditioned quadratic problem, and convert its solution back."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -15,7 +15,7 @@ from lpvguard.engine.validation.quadratic import Form, cancels
 from lpvguard.engine.validation.well_posed import block_caps, well_posed
 
 EDGE = 1e-9
-"""gamma_w within this of B1, relative, counts as B1."""
+"""A gamma_w within this relative distance of B1 counts as B1."""
 
 ROUNDING = 1e-14
 """Rounding of B1 relative to |e|."""
@@ -33,7 +33,7 @@ class Solution:
     eta : ndarray (q,) of complex
     w : ndarray (n_w,) of complex
     b1 : float, right side of (9)
-    verification : Verification, the Delta built from them and re-simulated
+    verification : Verification of the Delta that is built from these signals
     nodes : int, of the branch and bound
     """
 
@@ -49,15 +49,15 @@ class Solution:
 
 
 class ScaledProblem:
-    """One LFT point in well-scaled coordinates: the maps of the blocks and of w, and the way back. ``xi``,
-    ``eta`` (a map a block), ``w`` (n_w, n) and ``t`` (1, n) map a point z (n,) to signals, all over the same
-    factor. ``dead``: blocks whose input is always zero. ``ball_is_point``: gamma_w is B1."""
+    """One LFT point in well-scaled coordinates, with the maps to the signals of the blocks and to w. ``xi``,
+    ``eta`` (one map per block), ``w`` (n_w, n) and ``t`` (1, n) map a point z (n,) to signals, all divided by
+    the same factor. ``dead``: blocks whose input is always zero. ``ball_is_point``: gamma_w equals B1."""
 
     def __init__(
         self, problem: Lft, w_scale: np.ndarray, gamma_w: float = np.inf, without: Sequence[int] = ()
     ):
-        """``w_scale`` (n_w,): size of each disturbance. ``without``: blocks whose xi_i is held at zero.
-        Raises InputError as :func:`problem.parametrise` does, and when a dead block would have to explain
+        """Take ``w_scale`` (n_w,), the size of each disturbance, and ``without``, blocks with xi_i fixed at
+        zero. Raises InputError like :func:`problem.parametrise`, and when only a dead block could explain
         e."""
         self.problem = problem
         par = parametrise(problem)
@@ -75,7 +75,7 @@ class ScaledProblem:
             held = np.concatenate([rows[i] for i in self.dead])
             change = self._without(scaled, held)
             scaled, maps = scaled @ change, tuple(m @ change for m in maps)
-            maps[0][held] = 0.0  # not its rounding, which an eta of zero would make endless
+            maps[0][held] = 0.0  # not its rounding, which would give infinite sizes for an eta of zero
         q, r = np.linalg.qr(scaled[:, :-1])
         shift = q.conj().T @ scaled[:, -1]
         rest = np.linalg.norm(scaled[:, -1] - q @ shift)
@@ -90,15 +90,15 @@ class ScaledProblem:
         self.t[0, -1] = 1.0 / kappa
 
     def _shares(self) -> np.ndarray:
-        """(p,) of a signal in xi its share of e; a block that reaches no output counts by itself."""
+        """(p,) share of e per unit of each signal in xi; 1 for a block that reaches no output."""
         blocks, size_e = self.problem.blocks, float(np.linalg.norm(self.problem.e)) or 1.0
         gains = [float(np.linalg.norm(m)) or size_e for m in split(blocks, self.problem.p21.T, "rows")]
         return np.repeat(gains, [b.rows for b in blocks]) / size_e
 
     def _without(self, scaled: np.ndarray, held: np.ndarray) -> np.ndarray:
         """Map (n, n') to the points at which the rows ``held`` of ``scaled`` (.., n), those of the dead
-        blocks, are 0. Each direction has a separate unit: values that the data hold at zero are rounding in
-        it. Raises InputError when the data need a dead block."""
+        blocks, are 0. Each direction is scaled separately, so that values forced to zero by the data are only
+        rounding. Raises InputError when the data need a dead block."""
         unit = np.linalg.norm(scaled[:, :-1], axis=0)
         left, right = scaled[held, :-1] / unit, -scaled[held, -1]
         u, s, vh = np.linalg.svd(left)
@@ -118,12 +118,12 @@ class ScaledProblem:
 
     @cached_property
     def xi(self) -> list[np.ndarray]:
-        """Maps (rows_i, n) to xi_i, one a block."""
+        """Maps (rows_i, n) to xi_i, one per block."""
         return split(self.problem.blocks, self._xi, "rows")
 
     @cached_property
     def eta(self) -> list[np.ndarray]:
-        """Maps (cols_i, n) to eta_i, one a block."""
+        """Maps (cols_i, n) to eta_i, one per block."""
         return split(self.problem.blocks, self._eta, "cols")
 
     @property
@@ -137,19 +137,19 @@ class ScaledProblem:
         return self._w
 
     def constant_eta(self, i: int) -> bool:
-        """Whether the input of block ``i`` does not depend on the free variables."""
+        """Whether the input of block ``i`` is constant, independent of the free variables."""
         return not np.any(self.eta[i][:, :-1])
 
     def signals(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """xi (p,), eta (q,) and w (n_w,) at ``z`` (n,); a xi_i that is only rounding is exactly zero.
-        Rounding in xi_i = 0 has no direction. It would give a full block a size. In a repeated block xi_i has
-        to be a multiple of eta_i, and rounding is none."""
+        The rounding of xi_i = 0 has a random direction. It would give a full block a size. In a repeated
+        block xi_i must be a multiple of eta_i, and rounding is not."""
         z = z / (self.t @ z)[0]
         xi = np.concatenate([np.zeros(len(m)) if cancels(m, z) else m @ z for m in self.xi])
         return xi, self._eta @ z, self._w @ z
 
     def points(self, known: Solution | None) -> list[np.ndarray]:
-        """The point z (n,) of an explanation found before, in a list; an empty list for None."""
+        """List with the point z (n,) of a known explanation; an empty list for None."""
         if known is None:
             return []
         maps, signals = np.vstack([self._xi, self._w]), np.concatenate([known.xi, known.w])
@@ -160,8 +160,7 @@ class ScaledProblem:
 
     def finish(self, interval: Interval, what: str) -> Solution:
         """Build and verify the explanation of an interval; ``what`` names the bounds in messages. Raises
-        InputError when nothing was found, and for an explanation that needs a perturbation at the
-        well-posedness cap."""
+        InputError when no explanation was found or it needs a perturbation at the well-posedness cap."""
         problem = self.problem
         if interval.z is None:
             raise InputError(
@@ -188,8 +187,8 @@ class ScaledProblem:
 
 
 def scaled_problem(problem: Lft, gamma_w: float, without: Sequence[int] = ()) -> ScaledProblem:
-    """The point with |w| <= ``gamma_w``, the blocks ``without`` held at xi_i = 0. Raises InputError for a
-    gamma_w that is negative, not finite or below B1, and as :class:`ScaledProblem` does."""
+    """Scale the point with |w| <= ``gamma_w`` and xi_i = 0 for the blocks ``without``. Raises InputError for
+    a gamma_w that is negative, not finite or below B1, and like :class:`ScaledProblem`."""
     if not np.isfinite(gamma_w) or gamma_w < 0.0:
         raise InputError(problem.source, "gamma_w", f"{gamma_w}", "a finite number that is not negative")
     scaled = ScaledProblem(
@@ -206,7 +205,7 @@ def scaled_problem(problem: Lft, gamma_w: float, without: Sequence[int] = ()) ->
 
 
 def ball(scaled: ScaledProblem, gamma_w: float) -> list[Form]:
-    """|w| <= ``gamma_w`` as a form, in a list; an empty list where the ball is one point."""
+    """List with |w| <= ``gamma_w`` as a form; an empty list if the ball is one point."""
     return [] if scaled.ball_is_point else [Form(scaled.w, scaled.t, constant=gamma_w**2)]
 
 
@@ -226,5 +225,5 @@ def block_form(
 
 
 def _scalar(block: Block) -> str | None:
-    """``repeated`` of a 1 x 1 block: a complex scalar is a full block; a real one keeps its reality."""
+    """Kind of a 1 x 1 block as ``repeated``: a complex scalar counts as full, a real one stays real."""
     return block.kind if block.kind == "repeated_real" else None

@@ -1,4 +1,4 @@
-"""Whether the LFT stays regular for every Delta of the structure and size: no I - P11 Delta is singular."""
+"""Check well-posedness: I - P11 Delta is regular for every Delta of the structure and size."""
 
 import numpy as np
 
@@ -8,9 +8,9 @@ from lpvguard.engine.validation.problem import Lft
 
 
 def block_caps(problem: Lft) -> np.ndarray:
-    """(tau,) 1 / sigma_max(P11,ii): at this size a single full block makes I - P11 Delta singular.
+    """Caps (tau,) 1 / sigma_max(P11,ii): at this size a single full block makes I - P11 Delta singular.
 
-    inf where P11,ii = 0.
+    A cap is inf where P11,ii = 0.
     """
     caps = []
     row = col = 0
@@ -22,11 +22,11 @@ def block_caps(problem: Lft) -> np.ndarray:
 
 
 def well_posed(problem: Lft, nu: np.ndarray) -> bool:
-    """Whether no Delta with ||Delta_i|| <= nu_i makes I - P11 Delta singular, certified; ``nu`` (tau,).
+    """Certify that no Delta with ||Delta_i|| <= nu_i makes I - P11 Delta singular; ``nu`` (tau,).
 
     The first test uses the spectral radius of the matrix of block norms. The second is the S-procedure on
-    ``|xi_i| <= nu_i |(P11 xi)_i|`` with the multipliers of each block's structure. These are a matrix for a
-    repeated scalar, and one more for a real one (the D-G scalings of mu).
+    ``|xi_i| <= nu_i |(P11 xi)_i|`` with the multipliers of each block's structure. A repeated scalar has a
+    matrix multiplier; a real one has a second matrix (the D-G scalings of mu).
     """
     etas = split(problem.blocks, problem.p11, "cols")
     norms = np.array(

@@ -1,7 +1,7 @@
-"""A vehicle's life: one number, the wealth, updated with every recording.
+"""Lifetime test of a vehicle: one number, the wealth, is updated with every recording.
 
-In: drives in order, drives that calibrate, a generated folder. Out: wealth of each vehicle, its changes and
-their size, a small state file and the core's table.
+In: drives in order of time, calibration drives, a generated folder. Out: the wealth of each vehicle, detected
+changes and their size, a small state file, and the core's table.
 """
 
 MAY_IMPORT = ("base", "drives", "core", "identify", "replay")

@@ -1,4 +1,4 @@
-"""C header with the calibration set's lpvg_life_table_t for the core (lib/include/lpvguard/life.h)."""
+"""Write the C header with the table lpvg_life_table_t of the calibration set for the core (life.h)."""
 
 import struct
 import zlib
@@ -14,7 +14,7 @@ MAGIC, SCHEMA = 0x4546494C, 1
 
 
 def padded(table: LifeTable) -> tuple[np.ndarray, np.ndarray]:
-    """Levels (LEVELS,) and factors (LEVELS + 1, bets) of the core, float32, padded with 0."""
+    """Levels (LEVELS,) and factors (LEVELS + 1, bets) in the core's sizes, float32, padded with 0."""
     levels = np.zeros(LEVELS, np.float32)
     factors = np.zeros((LEVELS + 1, len(POWERS)), np.float32)
     levels[: len(table.levels)] = table.levels
@@ -23,7 +23,7 @@ def padded(table: LifeTable) -> tuple[np.ndarray, np.ndarray]:
 
 
 def crc32(table: LifeTable, judged_s: float) -> int:
-    """CRC-32 as in the core: over all words before it, low byte first."""
+    """CRC-32 as in the core, over all previous words, low byte first."""
     levels, factors = padded(table)
     words = struct.pack("<4I", MAGIC, SCHEMA, table.n, len(table.levels))
     numbers = np.concatenate([[judged_s, table.alarm], levels, factors.ravel()]).astype("<f4")
@@ -36,7 +36,7 @@ def _number(value: float) -> str:
 
 
 def definition(table: LifeTable, judged_s: float, name: str) -> str:
-    """C text that defines the table under ``name``; strict C99, and C++17."""
+    """C code that defines the table as ``name``, valid in C99 and C++17."""
     levels, factors = padded(table)
     rows = ",\n     ".join("{" + ", ".join(map(_number, row)) + "}" for row in factors.tolist())
     return (

@@ -1,7 +1,7 @@
-"""`lpvguard fleet`: scores each recording of the vehicles once, in order, and updates their wealth.
+"""`lpvguard fleet`: score each recording of the vehicles once, in order, and update their wealth.
 
-The first call fixes the calibration set in the state. A counted recording is not counted again; it is refused
-if its tables differ. The same folder may therefore be given again when it has grown.
+The first call fixes the calibration set in the state. A recording is counted only once. It is refused if its
+tables have changed since then. A folder with added drives may therefore be given again.
 """
 
 from __future__ import annotations
@@ -29,10 +29,10 @@ CALIBRATED = "calibrated"
 
 
 def terms_of(replayer: Replayer, judged_s: float | None, alpha: float | None, eta: float | None) -> Terms:
-    """Terms with defaults for None. InputError for an impossible length."""
+    """Terms with defaults in place of None; InputError for an impossible length."""
     length = JUDGED_S if judged_s is None else judged_s
     if not replayer.project.Ts_s <= length < np.inf:
-        raise InputError("fleet", "judged_s", f"{length:g}", f"{replayer.project.Ts_s:g} s at least, finite")
+        raise InputError("fleet", "judged_s", f"{length:g}", f"finite, at least {replayer.project.Ts_s:g} s")
     return Terms(
         replayer.project.name,
         str(artefacts.read_manifest(replayer.core.folder, "vehicle")["seal"]),
@@ -44,13 +44,13 @@ def terms_of(replayer: Replayer, judged_s: float | None, alpha: float | None, et
 
 @dataclass(frozen=True)
 class Listed:
-    """Drives of a folder in the order of a life.
+    """Drives of a folder in the order of the vehicle's life.
 
     Attributes
     ----------
     folder : Path
     experiments : list[Experiment]
-    vehicle, left_out : dict[str, str], vehicle of each drive, and reason of each drive set aside
+    vehicle, left_out : dict[str, str], vehicle of each drive, and reason for each excluded drive
     """
 
     folder: Path
@@ -60,11 +60,10 @@ class Listed:
 
     @classmethod
     def from_folder(cls, folder: Path, order: str | None = None, by: str | None = None) -> Listed:
-        """Drives in the order of the text in column ``order`` of experiments.csv, by default in its own
-        order.
+        """Drives of experiments.csv, sorted by the text in column ``order``, by default in the file's order.
 
-        Column ``by`` names the vehicle; by default the folder is one vehicle. Raises InputError where pieces
-        of a recording are of several vehicles, or a table is listed twice.
+        Column ``by`` names the vehicle; by default all drives belong to one vehicle. Raises InputError if
+        pieces of a recording belong to several vehicles, or if a table is listed twice.
         """
         experiments = list_experiments(folder)
         if order is not None:
@@ -78,7 +77,7 @@ class Listed:
         for e in experiments:
             if vehicle[first.setdefault(e.recording, e).name] != vehicle[e.name]:
                 raise InputError(
-                    folder, f"column {by}", f"recording {e.recording} has two", "one a recording"
+                    folder, f"column {by}", f"recording {e.recording} is of two", "one a recording"
                 )
         return cls(folder, experiments, vehicle, set_aside(folder))
 
@@ -90,10 +89,10 @@ def calibrated_state(
     workers: Map = map,
     progress: Callable[[str], None] = lambda _: None,
 ) -> tuple[FleetState, dict[str, str]]:
-    """New state from a folder of calibrating drives, and the reasons of recordings left out.
+    """Make a state from a folder of calibration drives; also return why recordings were left out.
 
-    Left out are drives that set the bounds, by their split and by the hashes in the generated folder, and
-    recordings that are too short. Raises InputError where none remains.
+    Drives that set the bounds are left out, by their split and by the hashes in the generated folder.
+    Recordings that are too short are also left out. Raises InputError if no recording remains.
     """
     manifest = artefacts.read_manifest(replayer.core.folder, "vehicle").get("identification", {})
     names = manifest.get("drives", {}).get("bounds", [])
@@ -112,13 +111,13 @@ def calibrated_state(
     scores = {s.name: s.score for s in recordings if s.score is not None}
     if not scores:
         raise InputError(
-            folder, "", "no recording calibrates", f"one of {terms.judged_s:g} s of judged driving at least"
+            folder, "", "no recording calibrates", f"one with at least {terms.judged_s:g} s of judged driving"
         )
     return FleetState(terms, scores, {s.name: s.sha256 for s in recordings if s.score is not None}), left_out
 
 
 def too_short(recording: Scored, terms: Terms) -> str:
-    """Reason why a recording has no score."""
+    """Text on why a recording has no score."""
     return f"{recording.judged_s:.1f} s of judged driving, less than {terms.judged_s:g} s"
 
 
@@ -130,41 +129,41 @@ def begun(
     workers: Map = map,
     progress: Callable[[str], None] = lambda _: None,
 ) -> tuple[FleetState, dict[str, str]]:
-    """Read the state from a file, or make a new one from calibrating drives.
+    """Read the state from a file, or make a new one from calibration drives.
 
     Parameters
     ----------
     replayer : Replayer
     path : Path or None, state file
-    calibration : Path or None, folder of drives that calibrate
+    calibration : Path or None, folder of calibration drives
     stated : Mapping, judged_s, alpha and eta, or None
     workers : Map
     progress : Callable, reports progress
 
     Returns
     -------
-    tuple of FleetState and dict, reason by recording left out
+    tuple of FleetState and dict, which gives the reason for each left-out recording
 
     Raises
     ------
     InputError
-        If there is neither or both, or the file has other terms.
+        If both or neither of them are given, or if the file has other terms.
     """
     terms = terms_of(replayer, **stated)
     kept = FleetState.read(path) if path is not None and path.exists() else None
     if kept is not None and path is not None:
         if calibration is not None:
-            raise InputError(path, "--calibration", "given, but the state has a set", "one of them")
+            raise InputError(path, "--calibration", "given, but --state has a set", "one of them")
         kept.require(path, {"vehicle": terms.vehicle, "coefficients": terms.coefficients, **stated})
         return kept, {}
     if calibration is None:
-        raise InputError("fleet", "--calibration", "not given", "a folder, or a --state that has a set")
+        raise InputError("fleet", "--calibration", "not given", "a folder, or a --state with a set")
     return calibrated_state(replayer, terms, calibration, workers, progress)
 
 
 @dataclass
 class _Results:
-    """Results of a vehicle, recording by recording."""
+    """Results of a vehicle for each recording."""
 
     rows: list[dict[str, Any]]
     left_out: dict[str, str]
@@ -188,7 +187,7 @@ def follow(
     replayer : Replayer
     state : FleetState
     listed : Listed
-    left_out : dict[str, str], reason by calibration recording left out
+    left_out : dict[str, str], reason for each left-out calibration recording
     workers : Map
     progress : Callable, reports progress
 
@@ -199,7 +198,7 @@ def follow(
     Raises
     ------
     InputError
-        If a recording was counted with other tables or under another name, or a table calibrated.
+        If a recording was counted before with other tables or under another name, or if a table calibrated.
     """
     results = {
         name: _Results([], {}) for name in dict.fromkeys(listed.vehicle[e.name] for e in listed.experiments)
@@ -232,7 +231,7 @@ def follow(
 
 
 def _seen(state: FleetState) -> dict[str, str]:
-    """Use by hash of tables that may not be counted again."""
+    """How each table was used that may not be counted again, by hash."""
     did = {h: CALIBRATED for tables in state.calibrated.values() for h in tables.values()}
     for name, member in state.members.items():
         for recording, tables in member.counted.items():
@@ -254,7 +253,7 @@ def _row(recording: Scored, place: int, after: Member) -> dict[str, Any]:
 
 
 def _calibration(state: FleetState, left_out: dict[str, str]) -> dict[str, Any]:
-    """Limits of the calibration set: its size, levels and factors, and the earliest alarm of a life."""
+    """Properties of the calibration set: size, levels, factors, and the earliest possible alarm of a life."""
     table = state.table
     return {
         "recordings": table.n,
@@ -296,7 +295,7 @@ def _summary(
 
 
 def changed(result: dict[str, Any]) -> list[str]:
-    """List the vehicles whose wealth has alarmed.
+    """List the vehicles whose wealth has reached the alarm level.
 
     Parameters
     ----------

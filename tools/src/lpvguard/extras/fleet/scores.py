@@ -1,12 +1,12 @@
-"""Score of a recording: the mean of the change test's ratio over a fixed length of judged driving.
+"""Score recordings: the mean of the change test's ratio over a fixed length of judged driving.
 
-A sample is judged where the speed is in range, the model settled, and the core has a ratio. A recording is a
-drive, or successive drives that experiments.csv names as pieces of one, with their judged samples in
-sequence. Only the first ``judged_s`` seconds count, so that the length of a recording does not raise its
-score. A shorter recording has no score; it is reported by name.
+A sample is judged if the speed is in range, the model has settled, and the core has a ratio. A recording is
+one drive, or several successive drives that experiments.csv marks as pieces of it. Only the first
+``judged_s`` seconds count, so a longer recording does not get a higher score. A shorter recording has no
+score and is reported by name.
 
-The ratio is the compiled core's. Its mean shows lasting changes, its maximum the worst moment. Sums for least
-squares over the same samples give an estimate of gain, delay and bias.
+The ratio comes from the compiled core. Its mean shows lasting changes, and its maximum shows the worst
+moment. Least-squares sums over the same samples give an estimate of gain, delay and bias.
 """
 
 from __future__ import annotations
@@ -34,11 +34,12 @@ class ScoredDrive:
 
     Attributes
     ----------
-    drive, recording, sha256 : str, names, and hash of the table
+    drive, recording, sha256 : str, the two names and the hash of the table
     ratios : ndarray (M,), of the judged samples
-    products : ndarray (n_y, 3, 3), sums of regressors over whole blocks, the delay's per second
+    products : ndarray (n_y, 3, 3), sums of products of regressors over whole blocks, with the delay in
+    seconds
     along : ndarray (n_y, 3), sums of regressors times error over whole blocks
-    alarmed : bool, the verdict was invalid or degraded up to the last of those samples
+    alarmed : bool, the verdict was invalid or degraded at some time up to the last judged sample
     """
 
     drive: str
@@ -51,8 +52,7 @@ class ScoredDrive:
 
     @classmethod
     def from_drive(cls, replayer: Replayer, drive: Drive, most: int) -> ScoredDrive:
-        """Contribution of a drive, with ``most`` judged samples at most; its recording and table have no
-        name."""
+        """Contribution of a drive with at most ``most`` judged samples; the names and the hash stay empty."""
         run = replayer.replay(drive).run
         judged = np.flatnonzero(replayer.estimator.settled(drive.v) & (run.change > 0))[:most]
         usable = np.zeros(len(drive.t), bool)
@@ -72,7 +72,7 @@ class ScoredDrive:
 
 @dataclass(frozen=True)
 class DriveEstimate:
-    """Least-squares estimate of an output over a recording: e = gain yhat - delay_s dyhat/dt + bias.
+    """Least-squares estimate for an output over a recording: e = gain yhat - delay_s dyhat/dt + bias.
 
     Attributes
     ----------
@@ -90,9 +90,9 @@ class DriveEstimate:
 
 @dataclass(frozen=True)
 class Scored:
-    """A recording: its drives with hashes of their tables, judged time that counts [s], and the score.
+    """A recording: its drives with the hashes of their tables, the counted judged time [s], and the score.
 
-    The score is None where that time is short.
+    The score is None if this time is too short.
     """
 
     name: str
@@ -104,7 +104,7 @@ class Scored:
 
 
 def _piece(replayer: Replayer, most: int, experiment: Experiment) -> ScoredDrive | InputError:
-    """Piece of a drive's file; errors are returned, so that they pass between processes."""
+    """Score one drive file; errors are returned, so that they can pass between processes."""
     try:
         recorded = replayer.read_file(experiment.path)
     except InputError as error:
@@ -121,7 +121,7 @@ def pieces_of(
     workers: Map = map,
     progress: Callable[[str], None] = lambda _: None,
 ) -> list[ScoredDrive]:
-    """Pieces of every drive, in order. InputError for a drive that cannot be read."""
+    """Score every drive in order; InputError for a drive that cannot be read."""
     most = round(judged_s / replayer.project.Ts_s)
     pieces = []
     for piece in workers(partial(_piece, replayer, most), experiments):
@@ -133,15 +133,15 @@ def pieces_of(
 
 
 def scored(replayer: Replayer, pieces: Iterable[ScoredDrive], judged_s: float) -> list[Scored]:
-    """Join pieces to recordings, in the order of their first ones.
+    """Join pieces to recordings, in the order of their first pieces.
 
-    The piece in which the length is reached gives its first samples to the score, and its sums in proportion.
+    The last piece that is needed contributes only its first samples to the score, and its sums in proportion.
 
     Parameters
     ----------
     replayer : Replayer
     pieces : Iterable of ScoredDrive
-    judged_s : float, s, length
+    judged_s : float, s, judged driving per score
 
     Returns
     -------
@@ -178,10 +178,10 @@ def _scored(replayer: Replayer, name: str, pieces: list[ScoredDrive], most: int)
 
 
 def require_new(path: Path, scores: Iterable[Scored], seen: dict[str, str]) -> None:
-    """Raise InputError where ``seen`` (use by hash) names a table."""
+    """Raise InputError if ``seen`` (use by hash) contains a table."""
     for recording in scores:
         for drive, digest in recording.sha256.items():
             if digest in seen:
                 raise InputError(
-                    path, drive, f"is a table that {seen[digest]}", "drives of a life of their own"
+                    path, drive, f"is a table that {seen[digest]}", "drives that were not used before"
                 )

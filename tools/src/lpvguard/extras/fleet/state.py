@@ -1,8 +1,8 @@
-"""State of a fleet between calls: a small JSON file, sealed, written whole or not at all.
+"""Store the state of a fleet between calls in a small, sealed JSON file.
 
-It holds the calibration recordings, so that their set stays fixed, and each vehicle's wealth and counted
-recordings. A state is refused if it was changed by hand or is of another vehicle, generated folder, length or
-rate; the error names the difference.
+It holds the calibration recordings, so that their set stays fixed. It also holds each vehicle's wealth and
+counted recordings. A state is refused if it was changed by hand, or if its vehicle, generated folder, length
+or rate differs; the error names the difference. An error never leaves half a file.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ SCHEMA = 1
 
 @dataclass(frozen=True)
 class Terms:
-    """Conditions of a wealth: vehicle, digest of the generated folder, judged driving a recording [s],
-    both rates."""
+    """Terms of a wealth: vehicle, hash of the generated folder, judged driving per recording [s], two
+    rates."""
 
     vehicle: str
     coefficients: str
@@ -35,14 +35,14 @@ class Terms:
 
 @dataclass(frozen=True)
 class Member:
-    """A vehicle: its life, its first alarm's cause, and the counted recordings with their tables."""
+    """A vehicle: its life, the cause of its first alarm, and the counted recordings with their tables."""
 
     life: Life = field(default_factory=Life)
     changed_by: str | None = None
     counted: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
 
     def after(self, recording: str, sha256: Mapping[str, str], place: int, table: LifeTable) -> Member:
-        """Member after a further recording with these tables, whose score is at ``place``."""
+        """This member after a further recording with these tables and a score at ``place``."""
         life = self.life.after(place, table)
         first = recording if life.changed_at and not self.life.changed_at else self.changed_by
         return Member(life, first, {**self.counted, recording: dict(sha256)})
@@ -71,11 +71,11 @@ class FleetState:
         return LifeTable.from_scores(self.calibration.values(), self.terms.alpha, self.terms.eta)
 
     def with_member(self, vehicle: str, member: Member) -> FleetState:
-        """State with another state of one vehicle."""
+        """Copy of the state with a new member for one vehicle."""
         return replace(self, members={**self.members, vehicle: member})
 
     def to_dict(self) -> dict[str, Any]:
-        """JSON-able and sealed, for `read`."""
+        """Sealed JSON object, which `read` can read."""
         return artefacts.sealed(
             artefacts.marked(
                 {
@@ -100,15 +100,15 @@ class FleetState:
         )
 
     def write(self, path: Path) -> None:
-        """Write the file, whole or not at all."""
+        """Write the whole file; an error leaves the old file unchanged."""
         artefacts.write_file(path, artefacts.to_json(self.to_dict()), KIND)
 
     @classmethod
     def read(cls, path: Path) -> FleetState:
-        """State from a file of `write`. InputError for another file, another schema, or a changed one."""
+        """Read a file of `write`; InputError for a changed file, another kind of file or another schema."""
         document = artefacts.read_json(path)
         if not isinstance(document, dict) or (document.get("kind"), document.get("schema")) != (KIND, SCHEMA):
-            raise InputError(path, "kind, schema", "not those of a fleet's state", f"{KIND!r}, {SCHEMA}")
+            raise InputError(path, "kind, schema", "not the fields of a fleet's state", f"{KIND!r}, {SCHEMA}")
         artefacts.require_seal(path, document, "`lpvguard fleet`")
         members = {
             name: Member(
@@ -119,8 +119,8 @@ class FleetState:
         return cls(Terms(**document["terms"]), document["calibration"], document["calibrated"], members)
 
     def require(self, path: Path, terms: Mapping[str, Any]) -> None:
-        """Raise InputError unless the state has these terms, by name; a term of None is not compared."""
+        """Raise InputError unless the state has these terms (by name); a term of None is not compared."""
         for name, value in terms.items():
             own = getattr(self.terms, name)
             if value is not None and value != own:
-                raise InputError(path, f"terms.{name}", f"{own}", f"{value}; another state has other terms")
+                raise InputError(path, f"terms.{name}", f"{own}", f"{value}; other terms need another state")

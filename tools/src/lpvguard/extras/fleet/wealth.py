@@ -1,14 +1,15 @@
-"""Wealth of a vehicle over its life: a conformal test martingale of a fixed calibration set (THEORY 7.8).
+"""Wealth of a vehicle over its life: a conformal test martingale with a fixed calibration set (THEORY 7.8).
 
-n scores calibrate, from recordings like those of a healthy life. A further score is compared with at most
-LEVELS of them: the largest, the second, the fourth, and so on. Its *place* is the number of levels below it.
-With probability 1 - eta over the calibration set, all true tails are within `simultaneous_tails` (T35). Every
-bet's expected factor is then at most 1 for any law with such tails (T36). Wealth is a non-negative
-supermartingale from 1, so it reaches 1/alpha with probability at most alpha, in a life of any length (T37).
+The calibration set has n scores of recordings like those of a healthy life. A further score is compared with
+at most LEVELS of them: the largest, the second largest, the fourth largest, and so on. Its *place* is the
+number of levels below it. With probability 1 - eta over the calibration set, all true tail probabilities are
+within `simultaneous_tails` (T35). The expected factor of every bet is then at most 1 for any distribution
+with such tails (T36). Wealth is a non-negative supermartingale from 1, so it reaches 1/alpha with probability
+at most alpha, in a life of any length (T37).
 
-Money is put on the bets step by step, because a change may begin late. Arithmetic is that of the core
-(lib/src/services/life.cpp), in 32-bit floats and the same order, so that both have the same bits. Factors are
-rounded down by more than the rounding of a step adds.
+Money is put on the bets step by step, because a change may begin late. The arithmetic equals that of the core
+(lib/src/services/life.cpp): 32-bit floats in the same order, so that both give the same bits. Factors are
+rounded down by more than the rounding error of a step.
 """
 
 from __future__ import annotations
@@ -23,15 +24,15 @@ from scipy.stats import beta, binom
 from ...base.errors import InputError
 
 LEVELS = 8
-"""Most calibration scores that a new one is compared with."""
+"""Largest number of calibration scores that a new score is compared with."""
 POWERS = (0.1, 0.3, 0.6)
-"""The bets: each assumes that tails t become t ** power."""
+"""Powers of the bets: each bet assumes that tail probabilities t become t ** power."""
 START = 64
 """Number of recordings after which half of the money is on the bets."""
 MOST = 2**24 - 1 - START
-"""Most recordings that are counted: floats count no further. From then on no money is added."""
+"""Largest number of counted recordings, because floats cannot count further. Then no money is added."""
 ROUNDED_DOWN = 1 - 2.0**-20
-"""Relative rounding of every factor. A step of floats adds less than 2 ** -22 of the wealth."""
+"""Every factor is rounded down by this share. Rounding in a step adds less than 2 ** -22 of the wealth."""
 CEILING = np.float32(1e30)
 """Largest wealth of a bet."""
 
@@ -52,9 +53,9 @@ def ranks(n: int) -> np.ndarray:
 
 
 def _all_hold(n: int, rank: np.ndarray, low: np.ndarray) -> float:
-    """Probability that each order statistic ``rank`` (K,) of n uniform numbers is at least ``low`` (K,).
+    """Probability that all order statistics ``rank`` (K,) of n uniform numbers are at least ``low`` (K,).
 
-    Both are ascending: fewer than rank numbers lie below each low.
+    Both arrays ascend; fewer than ``rank`` numbers then lie below each ``low``.
     """
     law, before = np.r_[1.0, np.zeros(n)], 0.0
     counts = np.arange(n + 1)
@@ -70,8 +71,8 @@ def _all_hold(n: int, rank: np.ndarray, low: np.ndarray) -> float:
 def simultaneous_tails(n: int, eta: float) -> np.ndarray:
     """Bound the probabilities that a further score exceeds the levels.
 
-    With probability 1 - eta over n independent scores all bounds hold. Each is the bound of Clopper and
-    Pearson, all at one rate, which is exact by a recursion over the levels.
+    With probability 1 - eta over n independent scores all bounds hold. They are Clopper-Pearson bounds with
+    one common rate. A recursion over the levels gives this rate exactly.
 
     Parameters
     ----------
@@ -125,7 +126,7 @@ def factors(tails: np.ndarray) -> np.ndarray:
 
 
 def alarm_wealth(alpha: float) -> np.float32:
-    """Return the wealth that alarms, 1/alpha, not rounded down.
+    """Return the alarm level of the wealth, 1/alpha, never rounded down.
 
     Parameters
     ----------
@@ -178,17 +179,17 @@ class LifeTable:
 
     @property
     def alarm(self) -> np.float32:
-        """The wealth that alarms."""
+        """Alarm level of the wealth."""
         return alarm_wealth(self.alpha)
 
     def place(self, score: np.ndarray | float) -> np.ndarray:
-        """Number of levels below each score (N,), or below one; an equal score is not above a level."""
+        """Number of levels below each score (N,) or below one score; an equal level does not count."""
         return np.searchsorted(self.levels, np.asarray(score, np.float32), side="left")
 
     def earliest(self, life: Life) -> int | None:
-        """Number of further recordings above all n scores until the wealth of a life alarms.
+        """Number of further recordings with scores above all n scores until a life alarms.
 
-        It is 0 where it has alarmed, and None if it cannot within MOST.
+        It is 0 if the life has alarmed, and None if it cannot alarm within MOST recordings.
         """
         count = 0
         while not life.changed_at:
@@ -199,7 +200,7 @@ class LifeTable:
 
 
 def put_aside(recordings: int) -> np.float32:
-    """Share of the money not yet on the bets, float32."""
+    """Share of the money that is not yet on the bets, float32."""
     start = np.float32(START)
     return start / (start + np.float32(min(recordings, MOST)))
 
@@ -210,12 +211,12 @@ def stepped(bets: np.ndarray, recordings: int, factor: np.ndarray) -> tuple[np.n
     Parameters
     ----------
     bets : ndarray (..., bets), wealth of the bets
-    recordings : int, before this one
-    factor : ndarray (..., bets), of the place
+    recordings : int, number before this recording
+    factor : ndarray (..., bets), factors at the score's place
 
     Returns
     -------
-    tuple of the bets' wealth, ndarray (..., bets), and the whole wealth, ndarray (...)
+    tuple of the wealth of each bet, ndarray (..., bets), and the total wealth, ndarray (...)
 
     References
     ----------
@@ -238,7 +239,7 @@ class Life:
     ----------
     recordings : int, counted so far
     bets : Sequence[float], wealth of each bet
-    changed_at : int, recording at which the wealth first reached 1/alpha; 0: never
+    changed_at : int, number of the recording at which the wealth first reached 1/alpha; 0: never
     """
 
     recordings: int = 0
@@ -247,14 +248,14 @@ class Life:
 
     @property
     def wealth(self) -> float:
-        """The whole wealth, 1 at the start."""
+        """The total wealth, 1 at the start."""
         whole = np.float32(self.bets[0])
         for bet in self.bets[1:]:
             whole = whole + np.float32(bet)
         return float(whole + put_aside(self.recordings))
 
     def after(self, place: int, table: LifeTable) -> Life:
-        """Life after a recording whose score is at ``place``."""
+        """This life after a further recording with a score at ``place``."""
         bets, whole = stepped(np.array(self.bets, np.float32), self.recordings, table.factors[place])
         count = min(self.recordings + 1, MOST)
         changed = self.changed_at or (count if whole >= table.alarm else 0)

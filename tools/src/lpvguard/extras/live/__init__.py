@@ -1,4 +1,4 @@
-"""Answers of the compiled core while a vehicle drives, on a page.
+"""Show results of the compiled core on a page while a vehicle drives.
 
 In: a stream of frames from a running simulation, a CAN interface or a growing log. Out: a read-only page for
 browsers of this machine, messages for Foxglove, and drive tables.

@@ -1,7 +1,7 @@
-"""Live messages of an MCAP recording, for Foxglove and PlotJuggler on this machine.
+"""Send the messages of an MCAP recording live to Foxglove and PlotJuggler on this machine.
 
-The server is Foxglove's own (package foxglove-sdk) and only allows reading. Its queue for a client is BACKLOG
-messages. A slower client loses the oldest of them, and nothing waits for it.
+The package foxglove-sdk provides the server, which only allows reading. Its queue for each client holds
+BACKLOG messages. A client that is too slow loses the oldest messages, and nothing waits for it.
 """
 
 import json
@@ -17,16 +17,16 @@ from ...replay.replayer import Alarm, Replayer
 
 LOOPBACK = "127.0.0.1"
 BACKLOG = 16_384
-"""More messages than a piece of any source has."""
+"""Length of a client's queue; more than the messages of one piece of any source."""
 
 
 class FoxgloveServer:
-    """Listener of a watch that serves clients of Foxglove's WebSocket until ``stop``.
+    """Listener of a Watch that serves Foxglove's WebSocket clients until ``stop``.
 
     Parameters
     ----------
     replayer : Replayer
-    port : int, 0 is any free one
+    port : int, 0 means any free port
 
     Raises
     ------
@@ -35,7 +35,7 @@ class FoxgloveServer:
     """
 
     def __init__(self, replayer: Replayer, port: int):
-        # The server knows its channels through the context while somebody holds it.
+        # The server finds its channels through the context, so the context must stay alive.
         self._context = context = foxglove.Context()
         self._channels = {
             topic: foxglove.Channel(topic, schema=schema, context=context)
@@ -56,7 +56,7 @@ class FoxgloveServer:
         self.url = f"ws://{LOOPBACK}:{self._server.port}"
 
     def listens(self) -> bool:
-        """Whether a client subscribes to any topic."""
+        """Whether a client subscribes to a topic."""
         return any(channel.has_sinks() for channel in self._channels.values())
 
     def hear(self, series: pa.Table, alarms: list[Alarm], parts: Sequence[dict[str, Any]] = ()) -> None:
@@ -66,5 +66,5 @@ class FoxgloveServer:
             self._channels[message.topic].log(content, log_time=message.t_ns)
 
     def stop(self) -> None:
-        """Closes every connection."""
+        """Close every connection."""
         self._server.stop()

@@ -1,6 +1,6 @@
-"""Live frames through the compiled receiver: samples a tick, as on the ECU.
+"""Sample live frames with the compiled receiver, one sample per tick, as on the ECU.
 
-The clock is that of replay/receive.py. Only its phase comes from the first FIRST_S of frames instead of all.
+The clock is the same as in replay/receive.py, but its phase comes only from the first FIRST_S of frames.
 """
 
 import numpy as np
@@ -21,15 +21,15 @@ class Sampler:
     """Samples of a vehicle from live frames."""
 
     def __init__(self, receiver: Receiver, channel: str | None):
-        """``channel``: the interface that counts; None: the only one with messages of the vehicle."""
+        """``channel``: the used interface; None means the only one with messages of the vehicle."""
         self._receiver, self._channel, self._given = receiver, channel, channel is not None
         self._period_us = round(receiver.project.Ts_s * 1e6)
         self.jumps = 0
-        """How often the source's clock was begun anew."""
+        """Number of restarts of the source's clock."""
         self.counts: np.ndarray | None = None
-        """(rules + 1, events) what became of the frames since the clock began; None: nothing yet."""
+        """(rules + 1, events) number of frames by outcome since the clock began; None before the first."""
         self.live: np.ndarray | None = None
-        """(needed,) which needed messages are live at the newest tick."""
+        """(needed,) True for the needed messages that are live at the newest tick."""
         self._next_us = 0  # time of the next tick on the page's clock
         self._begin_anew()
 
@@ -39,7 +39,8 @@ class Sampler:
         self._newest_ns = -1
 
     def take(self, frames: Frames) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-        """Samples that ``frames`` complete, a piece a stretch of the clock: t (N,) [s], values, present (N,).
+        """Samples that ``frames`` complete, a piece per stretch of the clock: t (N,) [s], values, present
+        (N,).
 
         The values have shape (N, columns).
         """
@@ -61,20 +62,20 @@ class Sampler:
         return [piece for piece in pieces if piece is not None]
 
     def _of_channel(self, frames: Frames) -> Frames:
-        """Frames of one channel. InputError where several have the vehicle's messages, and none is given."""
+        """Frames of one channel; InputError if several have the vehicle's messages and none is given."""
         if not self._given:
             heard = np.unique(frames.channel[self._receiver.ours(frames)])
             names = {frames.channels[k] for k in heard} | ({self._channel} if self._channel else set())
             if len(names) > 1:
                 sources = f"the vehicle's messages come from {', '.join(sorted(names))}"
-                raise InputError("live", "channel", sources, "--channel, to say which")
+                raise InputError("live", "channel", sources, "the option --channel")
             self._channel = next(iter(names), None)
         if self._channel not in frames.channels:
             return frames.at(slice(0, 0))
         return frames.of_channel(self._channel, "live")
 
     def _stretch(self, frames: Frames) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
-        """Samples of frames without a jump among them."""
+        """Yield the samples of frames without a jump of the clock among them."""
         if self._held is not None:
             frames = _after(self._held, frames)
         self._newest_ns = int(frames.t_ns.max())
@@ -83,7 +84,7 @@ class Sampler:
             self._held = frames.at(slice(-HELD, None))
             return None
         assert self._running is not None
-        # A frame older than the newest tick counts for the next one.
+        # A frame older than the newest tick counts for the next tick.
         t_us = np.maximum(frames.t_ns // 1000 + self._shift_us, self._next_us - self._period_us)
         ticks = int((t_us[-1] - self._next_us - 1) // self._period_us) + 1
         if ticks <= 0:
@@ -100,7 +101,7 @@ class Sampler:
         return t, values, present
 
     def _begun(self, frames: Frames) -> bool:
-        """Fix phase and start of the ticks, once FIRST_S of frames are there."""
+        """Set phase and start of the ticks as soon as FIRST_S of frames have arrived."""
         ours = self._receiver.ours(frames)
         if not ours.any() or frames.t_ns[-1] - frames.t_ns[ours][0] < FIRST_S * 1e9:
             return False
@@ -119,7 +120,7 @@ class Sampler:
 
 
 def _after(first: Frames, second: Frames) -> Frames:
-    """Frames of one channel, ``second`` after ``first``."""
+    """Join frames of one channel, ``second`` after ``first``."""
     width = max(first.data.shape[1], second.data.shape[1])
     data = [np.pad(f.data, ((0, 0), (0, width - f.data.shape[1]))) for f in (first, second)]
     pairs = [(getattr(first, k), getattr(second, k)) for k in ("t_ns", "id", "length")]

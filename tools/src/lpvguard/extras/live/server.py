@@ -1,7 +1,7 @@
-"""The page of `lpvguard live`: one process, for browsers of this machine, read only.
+"""Serve the page of `lpvguard live`: one process, read only, for browsers on this machine.
 
-A browser asks for the next view when it has drawn the last. A slow one asks less often and skips views;
-nothing is queued. Every answer is bounded: MOST_ROWS rows of series.
+A browser asks for the next view when it has drawn the previous one. A slow browser asks less often and skips
+views; nothing is queued. Every answer has at most MOST_ROWS rows of the series.
 """
 
 import asyncio
@@ -23,7 +23,7 @@ from .watch import Watch
 
 LOOPBACK = "127.0.0.1"
 NAMES = (LOOPBACK, "localhost")
-"""Names by which a browser may call this server; others come from another site's page."""
+"""Host names that a request may use; another name comes from the page of another site."""
 MOST_ROWS = 1200
 LONGEST_S = 86_400.0
 POLICY = (
@@ -31,21 +31,21 @@ POLICY = (
     "img-src 'self' data: blob:; frame-ancestors 'none'; base-uri 'none'; form-action 'none'"
 )
 LIBRARIES = ("bokeh.min.js", "bokeh-api.min.js")
-"""Parts of BokehJS, as the package bokeh carries them."""
+"""Parts of BokehJS from the package bokeh."""
 KINDS = {"html": "text/html", "js": "text/javascript", "css": "text/css"}
 
 
 class _Handler(tornado.web.RequestHandler):
-    """Answers reading requests of pages of this server."""
+    """Answers read requests from pages of this server."""
 
     SUPPORTED_METHODS = ("GET", "HEAD")
 
     def initialize(self, watch: Watch) -> None:
-        """``watch``: what the page shows."""
+        """Take the Watch that the page shows."""
         self.watch = watch
 
     def prepare(self) -> None:
-        """Refuse requests under another name than this machine's."""
+        """Refuse requests with a host name that is not this machine's."""
         if urlsplit(f"//{self.request.host}").hostname not in NAMES:
             raise tornado.web.HTTPError(403)
 
@@ -61,7 +61,7 @@ class _Handler(tornado.web.RequestHandler):
             self.set_header(name, value)
 
     def number(self, name: str, default: float | None = None) -> float | None:
-        """A finite number of the query; status 400 for any other."""
+        """A finite number from the query; status 400 for any other value."""
         text = self.get_query_argument(name, None)
         if text is None:
             return default
@@ -76,7 +76,7 @@ class _Handler(tornado.web.RequestHandler):
 
 class _File(_Handler):
     def get(self, name: str) -> None:
-        """A file of the page."""
+        """Send a file of the page."""
         name = name or "page.html"
         if name in LIBRARIES:
             folder = resources.files("bokeh").joinpath("server", "static", "js")
@@ -88,13 +88,13 @@ class _File(_Handler):
 
 class _What(_Handler):
     def get(self) -> None:
-        """Constants of the page."""
+        """Send the constants of the page."""
         self.write(self.watch.what())
 
 
 class _View(_Handler):
     def get(self) -> None:
-        """A view of the page: query span [s], until [s] (none: now)."""
+        """Send a view of the page; the query has span [s] and until [s] (missing: now)."""
         span = self.number("span", 60.0)
         assert span is not None
         self.write(self.watch.view(min(max(span, 1.0), LONGEST_S), self.number("until"), MOST_ROWS))
@@ -102,14 +102,14 @@ class _View(_Handler):
 
 class _Drive(_Handler):
     def get(self) -> None:
-        """The longest stretch without a gap from ``from`` to ``to`` [s], as a drive table."""
+        """Send the longest stretch without a gap between ``from`` and ``to`` [s] as a drive table."""
         begin, end = self.number("from", 0.0), self.number("to", np.inf)
         assert begin is not None and end is not None
         columns, rows = self.watch.drive(begin, end)
         if len(rows) < 2:
             self.set_status(404)
             self.set_header("Content-Type", "text/plain; charset=utf-8")
-            self.write("no two samples in a row in this window\n")
+            self.write("this window has no two successive samples\n")
             return
         text = io.StringIO()
         table = csv.writer(text, lineterminator="\n")
@@ -122,7 +122,7 @@ class _Drive(_Handler):
 
 
 def application(watch: Watch) -> tornado.web.Application:
-    """The page of ``watch``."""
+    """Web application with the page of ``watch``."""
     own: dict[str, Any] = {"watch": watch}
     files = "|".join([*LIBRARIES, "page.js", "page.css"]).replace(".", r"\.")
     return tornado.web.Application(

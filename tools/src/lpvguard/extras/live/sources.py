@@ -1,8 +1,7 @@
-"""Live sources of frames: a simulation's LCM channel, a CAN interface, a growing candump log, an MCAP file of
-ROS 2.
+"""Live sources of frames: simulation (LCM), CAN interface, growing candump log, MCAP file of ROS 2.
 
-Nothing here keeps more than MOST frames or BLOCK bytes. Other frames wait in the kernel's or LCM's own queue.
-Its overflow is counted where the source reports it.
+A source keeps at most MOST frames or BLOCK bytes. Further frames wait in the queue of the kernel or of LCM.
+Its overflow is counted if the source reports it.
 """
 
 import time
@@ -20,23 +19,23 @@ from ...can.logs import EXTENDED, Frames, candump_frames
 WAIT_S = 0.1
 """Time without a frame after which a source reports it [s]."""
 RETRY_S = 1.0
-"""Time between two tries of a lost interface or log [s]."""
+"""Time between two attempts to open a lost interface or log [s]."""
 MOST = 4096
 """Most frames that a source returns at once."""
 QUEUE = 100_000
 """Most frames in LCM's queue."""
 BLOCK = 1 << 18
-"""Most bytes read of a log at once."""
+"""Most bytes of a log that are read at once."""
 EXPECTED = "an LCM URL (udpm://...), socketcan:INTERFACE, or the path of a candump log that grows"
 ROS_FRAME = "can_msgs/msg/Frame"
-"""Type of ROS 2 for a CAN frame."""
+"""ROS 2 message type of a CAN frame."""
 
 
 class FrameSource(Protocol):
     """A live source of frames.
 
-    ``lost`` counts frames that the source knows it lost. ``trouble`` explains missing frames; empty if
-    unknown.
+    ``lost`` counts the frames that are known to be lost. ``trouble`` explains why frames are missing; empty
+    if unknown.
     """
 
     name: str
@@ -44,7 +43,7 @@ class FrameSource(Protocol):
     trouble: str
 
     def pieces(self) -> Iterator[Frames | None]:
-        """Frames in the order of arrival, without end; None where none came for WAIT_S."""
+        """Yield frames in the order of arrival without end; None if no frame came for WAIT_S."""
         ...
 
 
@@ -53,7 +52,7 @@ def open_source(where: str) -> FrameSource:
 
     Parameters
     ----------
-    where : str, LCM address, interface or path of a log
+    where : str, LCM address, CAN interface or path of a log
 
     Returns
     -------
@@ -62,7 +61,7 @@ def open_source(where: str) -> FrameSource:
     Raises
     ------
     InputError
-        If it is none of these, or cannot be opened.
+        If the source is none of these, or cannot be opened.
     """
     if where.startswith("socketcan:"):
         return CanSource(where.removeprefix("socketcan:"))
@@ -73,7 +72,7 @@ def open_source(where: str) -> FrameSource:
 
 
 class LcmSource:
-    """The bus of a simulation that runs with `lpvguard sim --lcm URL`."""
+    """The bus of a simulation that `lpvguard sim --lcm URL` runs."""
 
     def __init__(self, url: str):
         from ..loop.lcm_client import Client
@@ -82,12 +81,12 @@ class LcmSource:
         self._client = Client(url, ["LPVGUARD_BUS"], QUEUE)
 
     def pieces(self) -> Iterator[Frames | None]:
-        """Frames of the bus as LCM brings them; None where none came for WAIT_S."""
+        """Yield frames of the bus from LCM; None if no frame came for WAIT_S."""
         newest = -1
         while True:
             heard = [m for _, m in self._client.waiting(WAIT_S, MOST)]
             for message in heard:
-                # A simulation that begins again counts from 0 again.
+                # A restarted simulation counts from 0 again.
                 if newest >= 0 and message.sequence > newest + 1:
                     self.lost += message.sequence - newest - 1
                 newest = message.sequence
@@ -100,7 +99,7 @@ class LcmSource:
 
 
 class CanSource:
-    """A SocketCAN interface, only listened to."""
+    """A SocketCAN interface, used only for reception."""
 
     def __init__(self, interface: str):
         import can
@@ -111,11 +110,11 @@ class CanSource:
             self._bus: can.BusABC | None = self._open()
         except (OSError, can.CanError) as error:
             raise InputError(
-                self.name, "", str(error), "a SocketCAN interface that is up (tools/with-vcan lends one)"
+                self.name, "", str(error), "a SocketCAN interface that is up (tools/with-vcan makes one)"
             ) from None
 
     def pieces(self) -> Iterator[Frames | None]:
-        """Frames on the interface; None where none came within WAIT_S, or while it is away."""
+        """Yield frames of the interface; None if no frame came within WAIT_S or the interface is missing."""
         while True:
             try:
                 self._bus = self._bus or self._open()
@@ -133,7 +132,7 @@ class CanSource:
         return self._can.Bus(self._interface, interface="socketcan", fd=True)
 
     def _heard(self, bus) -> list[tuple[int, int, bytes]]:
-        """Frames within WAIT_S after the first wait."""
+        """Wait for a frame, then collect the frames of at most WAIT_S."""
         frames: list[tuple[int, int, bytes]] = []
         message = bus.recv(WAIT_S)
         ends = time.monotonic() + WAIT_S / 4
@@ -146,7 +145,7 @@ class CanSource:
 
 
 class LogSource:
-    """A candump log that another program writes; a restarted one is read again."""
+    """A candump log that another program writes; a restarted log is read again."""
 
     def __init__(self, path: Path):
         if not path.is_file():
@@ -155,7 +154,7 @@ class LogSource:
         self._path = path
 
     def pieces(self) -> Iterator[Frames | None]:
-        """Frames of the added lines; None without any, or while the log is away."""
+        """Yield frames of the added lines; None if there are none or the log is missing."""
         while True:
             try:
                 yield from self._until_replaced()
@@ -165,7 +164,7 @@ class LogSource:
                 yield None
 
     def _until_replaced(self) -> Iterator[Frames | None]:
-        """Frames of the file until another replaces it, or it shrinks."""
+        """Yield frames of the file until another file replaces it or it becomes shorter."""
         with self._path.open("rb") as stream:
             inode, rest = self._path.stat().st_ino, b""
             self.trouble = ""
@@ -174,7 +173,7 @@ class LogSource:
                 whole, newline, rest = (rest + text).rpartition(b"\n")
                 frames = candump_frames(np.frombuffer(whole + newline, np.uint8)) if whole else None
                 if len(rest) > BLOCK:
-                    raise OSError(f"no line within {BLOCK} bytes: {EXPECTED}")
+                    raise OSError(f"no end of line within {BLOCK} bytes: {EXPECTED}")
                 if text:
                     yield frames if frames is not None and len(frames) else None
                     continue
@@ -197,7 +196,7 @@ class Ros2Source:
         self._decoder = optional("mcap_ros2.decoder", "ros2").DecoderFactory
 
     def pieces(self) -> Iterator[Frames | None]:
-        """Frames of the topics of can_msgs/Frame in the order of time; None for ever behind them."""
+        """Yield frames of the topics of can_msgs/Frame in the order of time, then None without end."""
         frames = self._frames()
         while piece := list(islice(frames, MOST)):
             yield _joined(piece, "ros2")
@@ -206,7 +205,7 @@ class Ros2Source:
             yield None
 
     def _frames(self) -> Iterator[tuple[int, int, bytes]]:
-        """Time, identifier and data of every frame. InputError without any."""
+        """Time, identifier and data of every frame; InputError if there is none."""
         known = False
         with self._path.open("rb") as stream:
             reader = self._open(stream, decoder_factories=[self._decoder()])

@@ -1,7 +1,7 @@
-"""Answers of the compiled core to live frames, the newest WINDOW of it kept in rings.
+"""Run live frames through the compiled core and keep the newest results in ring buffers.
 
 One thread takes frames from the source and judges them (`Watch.run`). Readers copy a few numbers under a
-lock; no reader delays the source for longer than such a copy.
+lock. A reader delays the source only during such a copy.
 """
 
 import threading
@@ -28,23 +28,23 @@ from .sampling import Sampler
 from .sources import FrameSource
 
 ALARMS = 1000
-"""Most alarms kept, the newest."""
+"""Number of newest alarms that are kept."""
 LISTED = 100
-"""Most alarms that a reader gets at once, the newest."""
+"""Number of newest alarms that a reader gets at once."""
 SILENT_S = 1.0
 """Time without a frame after which the source counts as silent [s]."""
 
 
 class Ring:
-    """The newest rows of numbers."""
+    """Ring buffer with the newest rows of numbers."""
 
     def __init__(self, rows: int, columns: int):
         self._rows = np.full((rows, columns), np.nan)
         self.count = 0
-        """Rows ever put in; the oldest that is kept has the number max(0, count - rows)."""
+        """Number of all rows so far; the oldest row that is kept has the number max(0, count - rows)."""
 
     def put(self, new: np.ndarray) -> None:
-        """Add rows (N, columns) in place of the oldest."""
+        """Add rows (N, columns) in place of the oldest rows."""
         size = len(self._rows)
         kept = new[-size:]
         at = (self.count + len(new) - len(kept) + np.arange(len(kept))) % size
@@ -70,29 +70,29 @@ class Ring:
 
 
 class Listener(Protocol):
-    """Receiver of every judged piece."""
+    """Interface of an object that receives every judged piece."""
 
     def listens(self) -> bool:
-        """Return whether anybody listens now."""
+        """Return whether the listener needs data now."""
         ...
 
     def hear(self, series: pa.Table, alarms: list[Alarm], parts: Sequence[dict[str, Any]] = ()) -> None:
-        """Take a piece of the time series (replay/series.py), its alarms and parts, on the page's clock.
+        """Receive a piece of the time series (replay/series.py), its alarms and parts, on the page's clock.
 
-        ``parts`` are those of the JSON of `replay`.
+        ``parts`` has the form of the JSON of `replay`.
         """
         ...
 
 
 class Watch:
-    """A source judged by the compiled core of a vehicle, with its newest answers.
+    """Judges a source with the compiled core of a vehicle and keeps the newest results.
 
     Parameters
     ----------
     replayer : Replayer
     source : FrameSource
-    window_s : float, s of answers that are kept
-    channel : str, optional, interface of a log with several
+    window_s : float, s, length of the results that are kept
+    channel : str, optional, interface, for a log with several interfaces
     clock : Callable, s, measures the source's silence
     listeners : sequence of Listener, receive the judged pieces
     """
@@ -140,7 +140,7 @@ class Watch:
         self.failed = ""
 
     def run(self) -> None:
-        """Take and judge frames until ``stop``, in its own thread."""
+        """Receive and judge frames until ``stop``, in a separate thread."""
         try:
             for frames in self.source.pieces():
                 if self._stop.is_set():
@@ -213,7 +213,7 @@ class Watch:
         return [asdict(p) for p in self._parts.take(piece, run.verdict, onsets)]
 
     def silent_s(self) -> float | None:
-        """Time since the newest frame [s]; None before the first."""
+        """Time since the newest frame [s]; None before the first frame."""
         return None if self._heard_at is None else self._clock() - self._heard_at
 
     def what(self) -> dict[str, Any]:
@@ -236,7 +236,7 @@ class Watch:
         }
 
     def _command_of(self) -> str | None:
-        """Output that the driver's command on the bus is for; None without a command."""
+        """Output that the driver's command on the bus refers to; None without a command."""
         if self._receiver.columns == len(self.signals):
             return None
         output = REFERENCE.signal.removesuffix("_command")
@@ -244,14 +244,14 @@ class Watch:
         return next(matches, None)
 
     def view(self, span_s: float, until: float | None, most: int) -> dict[str, Any]:
-        """The ``span_s`` [s] before ``until`` [s] (None: now), with at most ``most`` rows of the series."""
+        """Data of the last ``span_s`` [s] before ``until`` [s] (None: now), with at most ``most`` rows."""
         with self._lock:
             count = self._ring.count
             newest = self._ring.rows(count - 1, count)
             end = count if until is None else self._ring.find(until)
             t_end = newest[0, 0] if len(newest) and until is None else until or 0.0
             first = self._ring.find(t_end - span_s)
-            # A fixed step from the first row ever on, so that the same rows are drawn while time goes on.
+            # The step counts from the very first row, so that the same rows are drawn as time passes.
             step = 1 << max(0, int(np.ceil(np.log2(max(end - first, 1) / most))))
             rows = self._ring.rows(first, end, step)
             oldest = self._ring.rows(self._ring.find(-np.inf), self._ring.find(-np.inf) + 1)
@@ -284,8 +284,8 @@ class Watch:
         }
 
     def _bins(self, newest: np.ndarray, judged: np.ndarray) -> dict[str, list[float | None]]:
-        """Per bin the newest frame's statistic, t*, evidence and time, and the largest statistic of the
-        window."""
+        """For each bin: statistic, t*, evidence and time of the newest frame, and the window's largest
+        statistic."""
         n_bins = len(self._newest)
         last, largest = np.full((n_bins, 5), np.nan), np.full(n_bins, np.nan)
         for row in newest[np.isfinite(newest[:, 0])]:
@@ -300,7 +300,7 @@ class Watch:
         }
 
     def _can(self) -> dict[str, Any]:
-        """Outcome of the frames since the source's clock began, and the live needed messages."""
+        """Outcome of the frames since the source's clock began, and which needed messages are live."""
         counts, live = self._sampler.counts, self._sampler.live
         if counts is None or live is None:
             return {"messages": {}, "other": {}, "live": {}}
@@ -309,9 +309,9 @@ class Watch:
         return {**self._receiver.counted(counts), "live": states}
 
     def drive(self, begin: float, end: float) -> tuple[list[str], np.ndarray]:
-        """Longest stretch without a gap between ``begin`` and ``end`` [s], as a drive table.
+        """Longest stretch without a gap between ``begin`` and ``end`` [s] as a drive table.
 
-        Returns columns and numbers (N, columns); N is 0 without a sample.
+        It returns the column names and numbers (N, columns); N is 0 if there is no sample.
         """
         project = self.replayer.project
         with self._lock:
@@ -330,5 +330,5 @@ class Watch:
 
 
 def _numbers(values: np.ndarray) -> list[float | None]:
-    """Numbers for JSON, rounded for a picture; None for one that is not finite."""
+    """Numbers for JSON, rounded as needed for a picture; None for a number that is not finite."""
     return [round(x, 5) if np.isfinite(x) else None for x in values.tolist()]

@@ -1,10 +1,9 @@
-"""ASAP2 description (A2L) of a vehicle's object in an integrator's image, for any measurement tool.
+"""Write the ASAP2 description (A2L) of a vehicle's object in an integrator's image.
 
-Place, type and size of a field come from the image's debug information. Text and unit come from the comment
-in the core's header. Ranges come from there, from the signal table for one of its signals, from the
-enumeration, else from the number's type. Names of values come from the enumerations of the headers. Pointers
-are left out. Access to an XCP slave in the image may be described as well. The text depends on these alone
-and has no time of day.
+Address, type and size of a field come from the image's debug information. Text and unit come from the comment
+in the core's header. The range comes from that comment, the signal table, the enumeration or the type of the
+number. Names of values come from the enumerations of the headers. Pointers are left out. The file can also
+describe access to an XCP slave in the image. The text depends only on these inputs and has no time of day.
 """
 
 import re
@@ -37,16 +36,17 @@ NO_YES = ("no", "yes")
 """Values of a bool."""
 _ENUM_IN_TEXT = re.compile(r"lpvg_\w+_t")
 _SHOWN = {"FLOAT32_IEEE": "%15.9", "FLOAT64_IEEE": "%24.17"}
-"""Width and digits that distinguish every number of the type; other types have no digits."""
+"""Width and digits to print every number of the type exactly; other types have no digits."""
 _DIMENSIONS = 3
-"""Axes of MATRIX_DIM in ASAP2 1.6: the fastest first."""
+"""Number of axes of MATRIX_DIM in ASAP2 1.6, the fastest first."""
 
 
 @dataclass(frozen=True)
 class Measurement:
-    """A field as a measurement tool sees it, or an element of an array whose elements differ in unit.
+    """A field in the A2L, or one element of an array whose elements have different units.
 
-    ``dims`` are as in C: the last runs fastest. ``values`` names the values 0, 1, ..., () for a number.
+    ``dims`` are as in C: the last index runs fastest. ``values`` names the values 0, 1, ...; it is () for a
+    number.
     """
 
     name: str
@@ -81,7 +81,7 @@ def a2l_text(
     Raises
     ------
     InputError
-        If image or object do not fit, or the headers do not describe a field.
+        If the image or the object does not fit, or the headers do not describe a field.
 
     References
     ----------
@@ -102,7 +102,7 @@ def a2l_text(
 
 
 class _Enums:
-    """Members of the headers' enumerations, each read once."""
+    """Members of the enumerations in the headers, each read once."""
 
     def __init__(self, include: Path) -> None:
         self.headers = {
@@ -120,7 +120,7 @@ class _Enums:
         return self.read[name]
 
     def named_by(self, field: PlacedField, text: str) -> str:
-        """Enumeration of a field: its type's, or the one that its text begins with; "" for none."""
+        """Enumeration of a field, from its type or from the first word of its text; "" if there is none."""
         match = _ENUM_IN_TEXT.match(text)
         name = field.enum or (match[0] if match else "")
         return name if name in self.headers else ""
@@ -148,7 +148,7 @@ def _description(
 def _measurements(
     project: Project, symbol: str, field: PlacedField, described: Described, enums: _Enums
 ) -> Iterator[Measurement]:
-    """One, or one an output where the elements are per output and their units differ."""
+    """One measurement, or one per output if the elements belong to outputs with different units."""
     datatype, *limits = _TYPES[field.kind, field.bytes]
     enum = enums.named_by(field, described.text)
     values = NO_YES if field.kind == "bool" else enums[enum] if enum else ()
@@ -180,14 +180,14 @@ def _measurements(
 
 
 def _signals(project: Project, field: PlacedField, described: Described) -> list[Signal]:
-    """Signals of the table in a field; none for a quantity made of them."""
+    """Signals of the table in a field; empty for a quantity that is computed from signals."""
     if field.struct.endswith("_bus_signals_t") and field.name in ("speed", "y"):
         return project.of_role("scheduling") if field.name == "speed" else list(project.outputs)
     return list(project.inputs) if described.unit == "input unit" else []
 
 
 def _unit(project: Project, unit: str) -> str:
-    """The header's unit with those of the signal table in it; several, in their order, where they differ."""
+    """The header's unit with the units of the signal table inserted; a list if they differ."""
     for role, signals in (("input", project.inputs), ("output", project.outputs)):
         of_all = " | ".join(dict.fromkeys(s.unit for s in signals))
         whole = unit == f"{role} unit" or " | " not in of_all
@@ -228,7 +228,7 @@ def _document(
 
 
 def _method(m: Measurement) -> str:
-    """Name of the conversion: of its enumeration, or of its unit and type."""
+    """Name of the conversion method, from the enumeration or from unit and type."""
     if m.values:
         return f"CM.{m.enum or 'no_yes'}"
     kind = m.datatype.split("_")[0].lower() if m.datatype in _SHOWN else "whole"

@@ -1,7 +1,7 @@
-"""Descriptions of struct fields in the core's headers: text, unit and range.
+"""Read the descriptions of struct fields from the core's headers: text, unit and range.
 
-A field's description is its Doxygen comment: `///<` behind it, or the `///` lines in front. A unit is the
-last text in square brackets, a range is written `0 .. 16`.
+A field's description is its Doxygen comment: `///<` after the field, or the `///` lines before it. The unit
+is the last text in square brackets. A range is written `0 .. 16`.
 """
 
 import re
@@ -31,9 +31,9 @@ class Described:
 
 
 def described_fields(include: Path) -> dict[str, dict[str, Described]]:
-    """Descriptions by struct and field, of all headers ``*.h`` in the folder ``include``.
+    """Read the descriptions in all headers ``*.h`` of the folder ``include``, by struct and field.
 
-    A field without a comment has the text "". Raises InputError where there is no struct.
+    A field without a comment has the text "". Raises InputError if there is no struct.
     """
     by_struct = {
         struct: {name: _described(text) for name, text in _fields(body)}

@@ -1,4 +1,4 @@
-"""Positions of an object's fields in an integrator's image: the ELF's debug information (DWARF)."""
+"""Read the positions of an object's fields from the debug information (DWARF) of an image (ELF)."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -13,16 +13,17 @@ from ...base.errors import InputError
 
 _WRAPPERS = {"DW_TAG_typedef", "DW_TAG_const_type", "DW_TAG_volatile_type"}
 _FLOAT, _SIGNED, _BOOLEAN = 0x04, (0x05, 0x06), 0x02
-"""DW_ATE_* of base types; the rest is unsigned."""
+"""Kind of a base type by its DW_ATE_*; all others are unsigned."""
 _OP_ADDR = 0x03
 
 
 @dataclass(frozen=True)
 class PlacedField:
-    """A field with a value: ``path`` in the object (`.monitor.bin[3].n`), and ``offset``.
+    """A field with a value, at ``path`` (`.monitor.bin[3].n`) and ``offset`` in the object.
 
-    ``struct`` declares it under ``name``. An element has ``bytes`` and a ``kind``: float, signed, unsigned or
-    bool. ``dims`` are those of the array of elements, () for one. ``enum`` names its type, None for a number.
+    ``struct`` declares the field as ``name``. An element has ``bytes`` and a ``kind``: float, signed,
+    unsigned or bool. ``dims`` are the sizes of the array, () for a single element. ``enum`` is the name of
+    its enumeration, None for a number.
     """
 
     path: str
@@ -39,8 +40,8 @@ class PlacedField:
 class Instance:
     """An object of an image: its ``symbol``, its ``struct``, ``address`` and ``bytes``.
 
-    ``big_endian`` is the image. ``fields`` have a value, in the order of their offsets. ``pointers`` are
-    (offset, bytes) without meaning for a measurement.
+    ``big_endian`` is the byte order of the image. ``fields`` holds the fields with a value, sorted by offset.
+    ``pointers`` holds (offset, bytes) of pointers, which are not measured.
     """
 
     symbol: str
@@ -53,10 +54,10 @@ class Instance:
 
 
 def read_instance(elf: Path, symbol: str, structs: tuple[str, ...]) -> Instance:
-    """The object ``symbol`` of an image, which must be one of ``structs``.
+    """Read the object ``symbol`` of an image; its type must be one of ``structs``.
 
-    Raises InputError where the file is no ELF, has no debug information, or has no such object, several, or
-    one of another type.
+    Raises InputError if the file is not an ELF file or has no debug information. Raises it also if the image
+    has no such object, several of them, or one of another type.
     """
     try:
         with elf.open("rb") as stream:
@@ -111,7 +112,7 @@ def _instance(elf: Path, image: ELFFile, symbol: str, structs: tuple[str, ...]) 
 
 
 def _variables(image: ELFFile) -> Iterator[tuple[int, set[str], Any]]:
-    """Address, names and declaration of every variable with a fixed address that the linker kept."""
+    """Address, names and declaration of every variable with a fixed address in the linked image."""
     kept = {
         symbol["st_value"]
         for section in (image.get_section_by_name(".symtab"),)
@@ -147,7 +148,7 @@ def _name(die: Any) -> str:
 
 
 def _resolved(die: Any) -> Any:
-    """The type behind a declaration, without typedefs and qualifiers."""
+    """The type of a declaration without typedefs and qualifiers."""
     kind = die.get_DIE_from_attribute("DW_AT_type")
     while kind.tag in _WRAPPERS:
         kind = kind.get_DIE_from_attribute("DW_AT_type")
@@ -155,7 +156,7 @@ def _resolved(die: Any) -> Any:
 
 
 def _walk(struct: Any, path: str, offset: int) -> Iterator[PlacedField | tuple[int, int]]:
-    """Fields with a value and (offset, bytes) of pointers below a struct, in the order of their offsets."""
+    """Fields with a value, and (offset, bytes) of pointers, in a struct, sorted by offset."""
     for member in struct.iter_children():
         if member.tag != "DW_TAG_member":
             continue
@@ -191,7 +192,7 @@ def _kind(kind: Any) -> str:
 
 
 def _indices(dims: tuple[int, ...]) -> list[str]:
-    """`[i][j]` of every element of an array in the order of memory; one empty text for a scalar."""
+    """Index text `[i][j]` of every array element in the order of memory; one empty text for a scalar."""
     texts = [""]
     for n in dims:
         texts = [f"{text}[{i}]" for text in texts for i in range(n)]

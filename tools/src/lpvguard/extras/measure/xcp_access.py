@@ -1,7 +1,7 @@
-"""Access of a measurement tool to the slave of lpvguard/xcp.h: IF_DATA XCPplus of ASAP2, for XCP on CAN.
+"""Describe the access to the slave of lpvguard/xcp.h in ASAP2: IF_DATA XCPplus for XCP on CAN.
 
-The block's grammar is that of the standard (ASAM MCD-1 XCP, AML of protocol layer, DAQ and CAN), which tools
-know. Sizes and the event's name are those of the core's header.
+The block has the grammar of the standard (ASAM MCD-1 XCP, AML of protocol layer, DAQ and CAN), which tools
+know. Sizes and the event's name come from the core's header.
 """
 
 from __future__ import annotations
@@ -35,9 +35,9 @@ OPTIONAL_COMMANDS = (
     "ALLOC_ODT",
     "ALLOC_ODT_ENTRY",
 )
-"""Commands of the slave besides the mandatory CONNECT, DISCONNECT, GET_STATUS and SYNCH."""
+"""Optional commands of the slave; CONNECT, DISCONNECT, GET_STATUS and SYNCH are mandatory."""
 _TIMEOUTS_MS = (1000, 200, 0, 0, 0, 0, 0)
-"""T1 to T7: an answer; a checksum. Nothing is programmed."""
+"""Timeouts T1 to T7 for an answer and a checksum; programming is not supported."""
 _BYTES_OF_FRAME = 8
 
 
@@ -55,7 +55,7 @@ class XcpAccess:
 
     @classmethod
     def parse(cls, text: str) -> XcpAccess:
-        """Parse `COMMANDS:ANSWERS`, as in C (0x98EF27F9:0x98EFF927). Raises InputError."""
+        """Parse `COMMANDS:ANSWERS`, written as in C (0x98EF27F9:0x98EFF927). Raises InputError."""
         want = (
             "COMMANDS:ANSWERS, two identifiers that differ, with 0x80000000 set where they have 29 bits, as "
             "0x98EF27F9:0x98EFF927"
@@ -66,16 +66,16 @@ class XcpAccess:
             raise InputError("--xcp", "", repr(text), want) from None
         for one in (commands, answers):
             if not (0 <= one < 0x800 or EXTENDED <= one < EXTENDED + (1 << 29)):
-                raise InputError("--xcp", "", f"{one:#x} is no identifier", want)
+                raise InputError("--xcp", "", f"{one:#x} is not an identifier", want)
         if commands == answers:
             raise InputError("--xcp", "", "the identifiers are equal", want)
         return cls(commands, answers)
 
 
 def if_data(access: XcpAccess, period_us: int, big_endian: bool, include: Path) -> list[str]:
-    """Lines of the block. ``period_us``: from step to step; ``include``: folder of the core's headers.
+    """Lines of the block. ``period_us``: time between steps; ``include``: folder of the core's headers.
 
-    Raises InputError where the headers have no such slave.
+    Raises InputError if the headers have no XCP slave.
     """
     header = include / "xcp.h"
     entry_bytes = int(_defined(header, "ODT_ENTRIES_MAX", r"(\d+)U"))

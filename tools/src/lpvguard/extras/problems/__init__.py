@@ -1,7 +1,7 @@
-"""The engine as a service.
+"""Solve problems with the engine as a service.
 
-In: problems as plain JSON (complex numbers as [re, im]). Out: answers, and their comparison with those in the
-problem.
+In: problems as plain JSON (complex numbers as [re, im]). Out: answers, and their comparison with the
+reference answers in the problems.
 """
 
 MAY_IMPORT = ("base", "vehicle", "engine")

@@ -1,4 +1,4 @@
-"""Fields of one problem of the JSON service (solve.py): typed access in, complex numbers as [re, im] out."""
+"""Read the fields of one problem (solve.py) with type checks, and write complex numbers as [re, im]."""
 
 import math
 from typing import Any
@@ -20,15 +20,15 @@ class Fields:
         self.source = f"problem {problem.get('id', '(no id)')}"
 
     def error(self, where: str, what: str, expected: str | None = None) -> InputError:
-        """An InputError about one field, ready to raise."""
+        """Make an InputError about one field."""
         return InputError(self.source, where, what, expected)
 
     def has(self, name: str) -> bool:
-        """True when the field is there and not null."""
+        """Whether the field exists and is not null."""
         return self.problem.get(name) is not None
 
     def raw(self, name: str) -> Any:
-        """The JSON value of the field; an error when it is missing."""
+        """JSON value of the field; InputError if it is missing."""
         if not self.has(name):
             raise self.error(name, "missing", "a value")
         return self.problem[name]
@@ -52,7 +52,7 @@ class Fields:
         return a
 
     def number(self, name: str, *, positive: bool = False) -> float:
-        """One finite number, not negative; with ``positive`` not zero either."""
+        """One finite number >= 0, or > 0 with ``positive``."""
         value = float(self.real(name))
         if value < 0.0 or (positive and value == 0.0):
             raise self.error(
@@ -61,7 +61,7 @@ class Fields:
         return value
 
     def weights(self, name: str, length: int, *, positive: bool = False) -> np.ndarray:
-        """Finite numbers (length,), none negative; with ``positive`` none is zero."""
+        """Finite numbers (length,) >= 0, or > 0 with ``positive``."""
         a = self.real(name, (length,))
         if np.any(a < 0.0) or (positive and np.any(a == 0.0)):
             raise self.error(

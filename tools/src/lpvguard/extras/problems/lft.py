@@ -13,13 +13,13 @@ from lpvguard.engine.validation.scaled_problem import Solution
 from lpvguard.extras.problems.fields import Fields, pairs
 
 GAP = 4e-4
-"""Relative distance of the two sides at which the branch and bound stops; the interface requires 1e-3."""
+"""Relative gap between the bounds at which the branch and bound stops; the interface requires 1e-3."""
 
 ATTAINED_RTOL = 1e-6
-"""Rounding that is allowed between an upper bound and the explanation that attains it, as for its Delta."""
+"""Allowed rounding between an upper bound and the explanation that attains it, as for its Delta."""
 
 SIDE_NODES = 800
-"""Nodes for ``nu_s_min`` and ``t_minmax``, whose attained values the first few nodes find."""
+"""Largest number of nodes for ``nu_s_min`` and ``t_minmax``; a few nodes find their attained values."""
 
 
 def _blocks(f: Fields) -> tuple[Block, ...]:
@@ -66,10 +66,10 @@ def _explanation(s: Solution) -> dict:
 
 
 def _require_attained(f: Fields, name: str, s: Solution, cost: float, size: float, gamma: float) -> None:
-    """Raise InputError unless the explanation costs what the upper bound says, and no less than the lower.
+    """Raise InputError unless the explanation's cost equals the upper bound and is not below the lower bound.
 
-    ``cost`` is that of the explanation's nu and w. ``size`` is |w|, at most ``gamma``. The Delta that belongs
-    to them is verified where it is built.
+    ``cost`` follows from the explanation's nu and w. ``size`` is |w|, at most ``gamma``. Their Delta is
+    verified where it is built.
     """
     upper = s.upper * (1 + ATTAINED_RTOL)
     if cost <= upper and s.lower <= upper and size <= gamma * (1 + ATTAINED_RTOL):
@@ -78,12 +78,12 @@ def _require_attained(f: Fields, name: str, s: Solution, cost: float, size: floa
         f"{name}_lower, {name}_upper",
         f"not proved: {s.lower:.9g} and {s.upper:.9g}, where the explanation costs {cost:.9g} with |w| = "
         f"{size:.9g}",
-        "data scaled to like sizes",
+        "data scaled to similar sizes",
     )
 
 
 def _or_reason(answer: dict, name: str, solver: Callable[[], float]) -> None:
-    """Answer a side question of ``lft``; a failure gives null with a reason."""
+    """Answer a secondary question of ``lft``; a failure gives null with a reason."""
     try:
         answer[name] = float(solver())
     except InputError as exc:
@@ -92,7 +92,7 @@ def _or_reason(answer: dict, name: str, solver: Callable[[], float]) -> None:
 
 
 def solve_lft(f: Fields) -> dict:
-    """Answer to kind ``lft``: the optimum of (8) as an interval, its explanation, and two side questions.
+    """Answer kind ``lft``: the optimum of (8) as an interval, its explanation, and two secondary results.
 
     Raises InputError that names the field of an impossible problem.
     """
@@ -120,7 +120,7 @@ def solve_lft(f: Fields) -> dict:
 
 
 def solve_lft_margin(f: Fields) -> dict:
-    """Answer to kind ``lft_margin``: the margin t as an interval, and its explanation.
+    """Answer kind ``lft_margin``: the margin t as an interval, and its explanation.
 
     Raises InputError that names the field of an impossible problem.
     """

@@ -1,4 +1,4 @@
-"""The numerical engine as a service: a list of problems in, a list of answers out, in plain JSON.
+"""Solve a list of problems in plain JSON with the numerical engine and return a list of answers.
 
 Schema ``lpvguard.problems/1``: complex numbers are ``[re, im]``, matrices row-major nested lists. Kinds:
 ``zoh``, ``frequency_response``, ``multiplicative``, ``multiplicative_tradeoff``, ``margin``, ``lft``,
@@ -24,16 +24,16 @@ from .fields import Fields, pairs
 
 ANSWERS_SCHEMA = "lpvguard.answers/1"
 BRACKET_GAP = 1e-3
-"""Largest relative distance between the two sides of a bracket that counts as answered."""
+"""Largest relative gap between the two bounds of an answer."""
 
 EXPLAINED_RTOL = 1e-11
-"""Rounding of an explanation by delta and w, relative to its terms."""
+"""Allowed rounding of an explanation by delta and w, relative to its terms."""
 
 MARGIN_RTOL, MARGIN_ROUNDING = 1e-6, 1e-13
-"""Shares of a margin, and of E over W_w, above and below it at which it is attained and is not."""
+"""Relative distances, of a margin and of E over W_w, above and below it for the check that it is attained."""
 
 DATA_ROUNDING = 4.0 * float(np.finfo(float).eps)
-"""Relative rounding of E and Z, as it shows in B1."""
+"""Relative rounding of E and Z that appears in B1."""
 
 
 def _truck(f: Fields) -> tuple[float, float, float]:
@@ -43,7 +43,7 @@ def _truck(f: Fields) -> tuple[float, float, float]:
 
 
 def _solve_zoh(f: Fields) -> dict:
-    from lpvguard.vehicle import truck_model  # with the project files, which other kinds need not wait for
+    from lpvguard.vehicle import truck_model  # slow: it loads the project files
 
     a_d, b_d = truck_model.zoh(*_truck(f))
     return {"Ad": a_d.tolist(), "Bd": b_d.tolist(), "state": ["r", "delta", "delta_dot"]}
@@ -73,10 +73,10 @@ def _solve_multiplicative(f: Fields) -> dict:
 
 
 def _require_explained(f: Fields, e: np.ndarray, z: np.ndarray, r: s1.S1Result) -> None:
-    """Raise InputError unless delta of size nu and w within gamma_w, no less than B1, explain E; and no less.
+    """Raise InputError unless nu is the least size of a delta that explains E with B1 <= |w| <= gamma_w.
 
-    For any y, |E - delta Z| is at least (Re y^H E - |delta| |y^H Z|) / |y|. With y = w, whose delta y^H Z is
-    made real and not negative, or with y = delta Z, that exceeds gamma_w for every smaller delta.
+    For any y, |E - delta Z| is at least (Re y^H E - |delta| |y^H Z|) / |y|. For y = w (with delta y^H Z real
+    and not negative) or y = delta Z, this exceeds gamma_w for every smaller delta.
     """
     gamma, nu = f.number("gamma_w"), abs(complex(r.delta))
     left, size = (float(np.linalg.norm(x)) for x in (e - r.delta * z - r.w, r.w))
@@ -95,7 +95,7 @@ def _require_explained(f: Fields, e: np.ndarray, z: np.ndarray, r: s1.S1Result) 
     held &= abs(rest - float(r.b1)) <= EXPLAINED_RTOL * float(np.linalg.norm(e))
     if not (held and least and abs(nu - float(r.nu)) <= EXPLAINED_RTOL * nu):
         what = f"not proved: nu {float(r.nu):.9g}, |delta| {nu:.9g}, |w| {size:.9g}, off by {left:.3g}"
-        raise f.error("nu", what, "data scaled to like sizes")
+        raise f.error("nu", what, "data scaled to similar sizes")
 
 
 def _solve_multiplicative_tradeoff(f: Fields) -> dict:
@@ -124,19 +124,19 @@ def _solve_margin(f: Fields) -> dict:
             for g, reach in zip(groups, reaches, strict=True)
         )
         if kept != within and level > 0.0:
-            raise f.error("t", f"not proved: {t:.9g}", "data scaled to like sizes")
+            raise f.error("t", f"not proved: {t:.9g}", "data scaled to similar sizes")
     return {"t": t}
 
 
 def _within(e: np.ndarray, z: np.ndarray, reach: float, w: np.ndarray) -> bool:
-    """Tell whether one delta within ``reach`` leaves |E_j - delta Z_j| <= ``w`` (n,) of every output.
+    """Whether one delta within ``reach`` gives |E_j - delta Z_j| <= ``w`` (n,) for every output.
 
-    Discs that meet share a centre of one of them, or a point where two of their circles meet.
+    If discs have a common point, a centre of a disc or a crossing of two circles is common, too.
     """
     tell = z != 0
     centres = np.append(e[tell] / z[tell], 0.0)
     radii = np.append(w[tell] / np.abs(z[tell]), reach)
-    order = np.argsort(radii)  # points are counted from the smaller disc
+    order = np.argsort(radii)  # points are relative to the centre of the smaller disc
     centres, radii = centres[order], radii[order]
     i, j = np.triu_indices(len(radii), 1)
     apart = centres[j] - centres[i]
@@ -195,11 +195,11 @@ _SOLVERS: dict[str, Callable[[Fields], dict]] = {
     "mu_interval": _solve_mu_interval,
     "hinf": _solve_hinf,
 }
-"""By kind. What only some kinds need is imported by them: scipy.optimize would double the start-up time."""
+"""Solver by kind. A kind imports slow modules itself: scipy.optimize would double the start-up time."""
 
 
 def solve_problem(problem: Any) -> dict:
-    """Answer one problem; bad input gives an error answer and never raises.
+    """Answer one problem; bad input gives an error answer and no exception.
 
     Parameters
     ----------
@@ -233,7 +233,7 @@ def solve_problem(problem: Any) -> dict:
 
 
 def solve_problems(problems: Sequence[Any], jobs: int = 1) -> list[dict]:
-    """Answers in the order of the problems; ``jobs`` processes. The answers do not depend on ``jobs``."""
+    """Answer problems in order with ``jobs`` processes. The answers do not depend on ``jobs``."""
     if jobs <= 1 or len(problems) < 2:
         return [solve_problem(p) for p in problems]
     with ProcessPoolExecutor(max_workers=jobs) as pool:
@@ -242,7 +242,7 @@ def solve_problems(problems: Sequence[Any], jobs: int = 1) -> list[dict]:
 
 @dataclass
 class Comparison:
-    """Outcome of one comparison: ``misses`` holds a line per field that is outside its tolerance."""
+    """Result of one comparison; ``misses`` holds one line per field outside its tolerance."""
 
     id: Any
     compared: bool
@@ -250,7 +250,7 @@ class Comparison:
 
     @property
     def ok(self) -> bool:
-        """True when nothing missed; also when there was nothing to compare with."""
+        """Whether no field missed; also True if there was nothing to compare with."""
         return not self.misses
 
 
@@ -292,13 +292,12 @@ def _bracket_misses(stem: str, answer: dict, ref: dict, rtol: float) -> list[str
 
 
 def compare(problem: dict, answer: dict) -> Comparison:
-    """Compare an answer with the problem's own, by the rules of the interface.
+    """Compare an answer with the reference answer in the problem, by the rules of the interface.
 
     The rule is ``|x - ref| <= rtol max(|ref|, 1e-9 scale)``, for arrays by their largest element. The scale
-    is ||E|| for B1 and 1 otherwise. Brackets and mu have one-sided rules. A reference with status ``error``
-    requires an error. One floor is added to the written rule. A B1 below the rounding of its own data
-    (DATA_ROUNDING ||E||) cannot be distinguished from zero. The reference values there are rounding errors
-    themselves.
+    is ||E|| for B1 and 1 otherwise. Intervals and mu have one-sided rules. A reference with status ``error``
+    requires an error. One exception is added: a B1 below the rounding of its data (DATA_ROUNDING ||E||)
+    equals zero, because such reference values are rounding errors themselves.
     """
     ref = problem.get("answer") if isinstance(problem, dict) else None
     if not isinstance(ref, dict):
@@ -353,7 +352,7 @@ def _read(path: str) -> list:
 def run_solve(path_or_dash: str | os.PathLike, out: str | os.PathLike | None = None, jobs: int = 1) -> int:
     """Solve a file of problems.
 
-    Misses and a summary go to standard error.
+    It writes misses and a summary to standard error.
 
     Parameters
     ----------

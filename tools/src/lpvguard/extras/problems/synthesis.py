@@ -14,32 +14,32 @@ from lpvguard.engine.synthesis.mu import MuBounds, mu_bounds, mu_interval
 from lpvguard.engine.synthesis.statespace import StateSpace
 
 RESOLVED = 1.01
-"""Largest ratio of the achieved to the proved level of a resolved H∞ answer."""
+"""Largest ratio of achieved to proved level in a resolved H∞ answer."""
 ZERO = 1e-9
-"""Share of the plant's gain below which an achieved level counts as zero."""
+"""An achieved level below this share of the plant's gain counts as zero."""
 UNDETERMINED = 5e-4
 """Relative change of the optimum by the data's last digits above which no unresolved answer is given: what is
 deducted for it leaves no bounds within 1 %."""
-DIGITS = "the last digits of the data decide on the optimum"
+DIGITS = "the optimum depends on the last digits of the data"
 
 
 def solve_hinf(problem: dict) -> dict:
-    """Answer kind ``hinf``: the H∞ controller of a plant, its certified level and what is proved below it.
+    """Answer kind ``hinf``: the H∞ controller of a plant, its certified level and a proved lower bound.
 
     The fields are A, B, C, D, n_control, n_measurement, dt (default 0).
 
     Returns
     -------
     dict
-        ``gamma_achieved``, the proved norm of the closed loop with the ``controller``. ``gamma_lower``, a
-        proved level that no controller goes below. ``gamma``, the optimum that the Riccati equations claim,
-        between both. ``resolved``: both are within 1 %. ``note`` says what is singular or not proved.
+        ``gamma_achieved``: proved norm of the closed loop with the ``controller``. ``gamma_lower``: proved
+        lower bound of the level of every controller. ``gamma``: optimum by the Riccati equations, between the
+        two. ``resolved``: the two differ by at most 1 %. ``note``: what is singular or not proved.
 
     Raises
     ------
     SynthesisError
-        It names the field that cannot be answered. So it does where the last digits of the data decide on
-        the optimum.
+        If a field makes an answer impossible, or if the optimum depends on the last digits of the data. The
+        error names the field.
     """
     name = str(problem.get("id", "hinf"))
     plant = _system(problem, name)
@@ -57,7 +57,7 @@ def solve_hinf(problem: dict) -> dict:
             name,
             "gamma_achieved",
             f"not proved: the closed loop's norm of {achieved:.6g} lies below {proved:.6g}, "
-            "which no controller goes below",
+            "the lower bound for every controller",
             "a plant whose signals are scaled to order one",
         )
     proved = min(proved, result.certificate.lower)
@@ -96,7 +96,7 @@ def solve_hinf(problem: dict) -> dict:
 
 
 def solve_mu(problem: dict) -> dict:
-    """Answer kind ``mu``: both bounds of μ for the fields M and blocks.
+    """Answer kind ``mu``: upper and lower bound of μ for the fields M and blocks.
 
     Returns
     -------
@@ -116,7 +116,7 @@ def solve_mu(problem: dict) -> dict:
 
 
 def solve_mu_interval(problem: dict) -> dict:
-    """Answer kind ``mu_interval``: both bounds of μ between ``low`` and ``high`` [rad/s].
+    """Answer kind ``mu_interval``: upper and lower bound of μ between ``low`` and ``high`` [rad/s].
 
     The fields are A, B, C, D, dt (default 0), blocks, low (default 0), high (default or null: infinite, of a
     discrete system pi / dt).
@@ -141,7 +141,7 @@ def solve_mu_interval(problem: dict) -> dict:
 
 
 def _bounds(bounds: MuBounds) -> dict:
-    """Fields of an answer that both kinds of μ share."""
+    """Fields of an answer that both kinds of μ have."""
     delta = bounds.delta
     return {
         "mu_upper": bounds.upper,
@@ -173,7 +173,7 @@ def _blocks(problem: dict, name: str) -> list[Block]:
         where = f"{name}: blocks[{k}]"
         rows_of_M, cols_of_M = _count(b, "rows", where), _count(b, "cols", where)
         try:
-            # The contract states M's part; Block is Delta_i.
+            # The interface states the part of M; Block describes Delta_i.
             blocks.append(Block(b.get("type", "full"), cols_of_M, rows_of_M))
         except InputError as error:
             what = error.what if error.where == "type" else f"{rows_of_M} x {cols_of_M}"

@@ -12,7 +12,7 @@ STRUCTURE_LOOKS = {
     "K_i": (":", RED, "$K_i$"),
     "K_is": ("--", BLUE, "$K_{is}$"),
 }
-"""Line, colour and name of each structure; the lines are the paper's."""
+"""Line style, colour and name of each structure; the line styles are those of the paper."""
 
 
 @picture
@@ -24,9 +24,9 @@ def performance_weights(
 ) -> Figure:
     """Fig. 5: magnitudes of the weights over omega (K,) [rad/s].
 
-    ``signals``: name, |W| (K,) and unit of the weights that normalise signals. ``objectives``: name and |W|
-    (K,) of W_t and W_u. ``command``: frequencies [rad/s] and bound of the measured yaw rate behind W_C, or
-    None.
+    ``signals``: name, |W| (K,) and unit of each weight that normalises a signal. ``objectives``: name and |W|
+    (K,) of W_t and W_u. ``command``: frequencies [rad/s] and bound of the measured yaw rate that W_C covers,
+    or None.
     """
     figure = new_figure(8.2, 3.4)
     left, right = figure.subplots(1, 2, sharex=True)
@@ -56,7 +56,7 @@ def performance_weights(
 
 @picture
 def worst_case_runs(run: dict) -> Figure:
-    """Fig. 6: pressure difference above, yaw rate below. ``run``: the object fig6 of figures.json."""
+    """Fig. 6: pressure difference at the top, yaw rate below. ``run``: the object fig6 of figures.json."""
     figure = new_figure(8.2, 5.2)
     top, low = figure.subplots(2, 1, sharex=True)
     low.plot(run["t_s"], run["wanted_radps"], "-", color=INK, lw=1.0, label="reference, $W_R r_c$")
@@ -74,7 +74,7 @@ def worst_case_runs(run: dict) -> Figure:
 
 
 def _draw_levels(axes: Axes, tradeoff: dict) -> None:
-    """Worst mu and the floor over uniform ceilings on nu, per structure, and the best candidate."""
+    """Draw worst mu and its lower bound over uniform ceilings on nu, and the best candidate."""
     uniform = [
         r
         for r in tradeoff["rows"]
@@ -113,7 +113,7 @@ def _draw_levels(axes: Axes, tradeoff: dict) -> None:
 
 
 def _draw_ceilings(axes: Axes, tradeoff: dict) -> None:
-    """Ceiling, nu_i and gamma_w over the bins, of the best candidate and of the project's setting."""
+    """Draw ceiling, nu_i and gamma_w over the bins, for the best candidate and the project's setting."""
     omega = np.array(tradeoff["omega_rad_s"])[1:]
     for key, label, style, colour in (("best", "best", "-", BLUE), ("own", "project", "--", RED)):
         ceiling, gamma_w, nu_i = (
@@ -137,7 +137,7 @@ def _draw_ceilings(axes: Axes, tradeoff: dict) -> None:
 
 @picture
 def tradeoff_front(tradeoff: dict) -> Figure:
-    """Front of `design --tradeoff`: left worst mu over uniform ceilings, right the best candidate's bounds.
+    """Draw the trade-off: left worst mu over uniform ceilings, right the best candidate's bounds.
 
     ``tradeoff``: tradeoff.json.
     """

@@ -1,4 +1,4 @@
-"""Pictures of detectors: times to find injected faults, and detection in the campaign against severity."""
+"""Pictures of detectors: times to find injected faults, and share of found faults over severity."""
 
 import textwrap
 from collections.abc import Callable
@@ -12,7 +12,7 @@ from ...evaluate.comparison import row_name
 from .drawing import BLUE, GREEN, ORANGE, PINK, POINTS, RED, SKY, new_figure, picture
 
 SOONEST_S = 0.01
-"""Least time on the logarithmic axis of `time_to_find`; smaller ones stand here."""
+"""Least time on the logarithmic axis of `time_to_find`; smaller times are drawn here."""
 
 DETECTOR_STYLES = (
     (BLUE, "-", "o", 2.0),
@@ -26,7 +26,7 @@ DETECTOR_STYLES = (
 
 @picture
 def time_to_find(faults: list[dict], allowed_s: float) -> Figure:
-    """Draw the judged, excited time from each fault to the alarm that it caused, a mark a case.
+    """Draw the judged, excited time from each fault to the alarm that it caused, one mark per case.
 
     Parameters
     ----------
@@ -76,10 +76,10 @@ def _over_severity(
     label: str,
     draw: Callable[[Axes, np.ndarray, list[dict]], None],
 ) -> Figure:
-    """A panel per kind of fault with more than one severity.
+    """Draw one panel per kind of fault with more than one severity.
 
-    ``draw(axes, x, rows)`` fills a panel with ``rows`` in the order of their severities ``x``. ``units`` has
-    the severity's unit by kind of fault. ``label`` is that of the vertical axes.
+    ``draw(axes, x, rows)`` fills a panel with ``rows`` in the order of their severities ``x``. ``units``
+    holds the unit of severity by kind of fault. ``label`` is the label of the vertical axes.
     """
     kinds = [k for k in units if sum(s["kind"] == k for s in severities) > 1]
     columns = 4
@@ -111,9 +111,9 @@ def _over_severity(
 
 @picture
 def detection(severities: list[dict], units: dict[str, str], names: dict[str, str], key: str) -> Figure:
-    """Share of runs in which a fault was found in time, against its severity.
+    """Draw the share of runs in which a fault was found in time over its severity.
 
-    A panel per kind of fault, a line per detector.
+    There is one panel per kind of fault and one line per detector.
 
     ``severities`` are rows of a campaign's summary, and ``key`` is "found" or "matched". ``names`` maps
     detectors to titles, the monitor first.
@@ -147,9 +147,10 @@ def detection(severities: list[dict], units: dict[str, str], names: dict[str, st
 
 @picture
 def detection_time(severities: list[dict], units: dict[str, str], names: dict[str, str]) -> Figure:
-    """Median judged, excited time [s] from a fault to the first alarm, against its severity.
+    """Draw the median judged, excited time [s] from a fault to the first alarm over its severity.
 
-    There is no point where fewer than half of the runs alarmed. The arguments are those of ``detection``.
+    A point is missing if fewer than half of the runs alarmed. The arguments are the same as for
+    ``detection``.
     """
 
     def draw(axes: Axes, x: np.ndarray, rows: list[dict]) -> None:

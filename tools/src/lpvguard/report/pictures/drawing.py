@@ -1,8 +1,9 @@
-"""Shared parts of all pictures: colours, style, and the conversion of a matplotlib figure to inline SVG.
+"""Shared code of all pictures: colours, style, and the conversion of a matplotlib figure to inline SVG.
 
-Ink, rules and paper are CSS variables of the page (--ink, --rule, --paper), so one picture is legible on
-light, dark and printed pages. The other colours are Okabe and Ito's, for colour-blind readers. Line styles
-differ too. Point clouds are rasterised. Frequencies are in rad/s, signals in the units of the signal table.
+Ink, rules and paper are CSS variables of the page (--ink, --rule, --paper), so a picture is legible on light,
+dark and printed pages. The other colours are the palette of Okabe and Ito for colour-blind readers. Line
+styles differ too. Point clouds are stored as bitmaps. Frequencies are in rad/s, signals in the units of the
+signal table.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ if TYPE_CHECKING:
 Arguments = ParamSpec("Arguments")
 
 INK, RULE, PAPER = "#010203", "#040506", "#070809"
-"""Placeholders for CSS variables; no other element may use them."""
+"""Colours that stand for CSS variables; no other element may use them."""
 BLUE, SKY, GREEN, RED, ORANGE, PINK, POINTS = (
     "#1b84c6",
     "#56b4e9",
@@ -117,7 +118,7 @@ class Picture:
 
 
 def new_figure(width: float, height: float, layout: Literal["constrained"] | None = "constrained") -> Figure:
-    """An empty figure of this width and height [inch]; with ``layout`` None the caller places the axes."""
+    """Make an empty figure, sizes in inch; with ``layout`` None the caller places the axes."""
     figure = Figure(figsize=(width, height), layout=layout)
     FigureCanvasSVG(figure)
     return figure
@@ -141,7 +142,7 @@ def _svg(figure: Figure, name: str) -> str:
 
 
 def _compact(svg: str) -> str:
-    """Shorten an SVG: coordinates to 0.01 point, only ids that are used, no comments and no line breaks."""
+    """Shorten an SVG: round coordinates to 0.01 point, drop unused ids, comments and line breaks."""
 
     def rounded(match: re.Match[str]) -> str:
         return re.sub(r"-?\d+\.\d{3,}", lambda n: f"{float(n.group()):.2f}", match.group())
@@ -158,7 +159,7 @@ def _compact(svg: str) -> str:
 
 
 def shared(page: str) -> str:
-    """The page with letter outlines and styles of its pictures stated once."""
+    """Return the page with letter outlines and styles of its pictures stated only once."""
     return _share_styles(_share_glyphs(page))
 
 
@@ -203,11 +204,11 @@ EVERYWHERE = "*{stroke-linejoin: round; stroke-linecap: butt}"
 OFTEN = 3
 """Least number of repetitions for which a style gets a name."""
 GLYPH = r"DejaVu\w+(?:-\w+)*-[0-9a-f]+"
-"""matplotlib's name of a letter's outline: its font and its number in hexadecimal."""
+"""Name that matplotlib gives to a letter's outline: its font and its hexadecimal number."""
 
 
 def picture(draw: Callable[Arguments, Figure]) -> Callable[Concatenate[str, Arguments], Picture]:
-    """Decorate a function that draws a figure in the style of the report.
+    """Decorate a function that draws a figure, so that it returns a Picture in the report's style.
 
     The decorated function takes a name before its arguments and returns the picture. The name must be unique
     on a page, because the ids of the picture contain it.
@@ -226,7 +227,7 @@ def picture(draw: Callable[Arguments, Figure]) -> Callable[Concatenate[str, Argu
 
 
 def legend_above(axes: Axes, columns: int) -> None:
-    """Legend above the axes on the left, in this many columns."""
+    """Place a legend above the axes on the left, in this many columns."""
     axes.legend(
         loc="lower left",
         bbox_to_anchor=(0, 1.0),
@@ -239,7 +240,7 @@ def legend_above(axes: Axes, columns: int) -> None:
 
 
 def files(pictures: list[Picture]) -> dict[str, str]:
-    """Files by name: every picture as SVG, and where it has numbers as CSV."""
+    """Files by name: every picture as SVG, and its numbers, if any, as CSV."""
     texts = {f"{p.name}.svg": standalone(p) for p in pictures}
     return texts | {f"{p.name}.csv": p.csv for p in pictures if p.panels}
 

@@ -1,4 +1,4 @@
-"""Map of a drive's margin over time and bins, and the key of such maps."""
+"""Draw the margin of a drive over time and bins, and the key of these maps."""
 
 from itertools import pairwise
 
@@ -24,9 +24,9 @@ REASON_WORDS = dict(
 )
 VERDICT_COLOURS = dict(zip(VERDICTS, (POINTS, GREEN, RED, "#b9d3e6", PINK, ORANGE, "#f0e442"), strict=True))
 MAP_WIDTH, ROW_PIXELS = 1200, 9
-"""Pixels of the map over margin: along time, and of one bin."""
+"""Width of the margin map in pixels, and the height of one bin."""
 MAP_PAPER = "#ffffff"
-"""Maps are white also on dark pages, so that their darkest colour, the largest margin, stays visible."""
+"""Maps are white on dark pages too, so that their darkest colour (the largest margin) stays visible."""
 
 
 def _colours() -> matplotlib.colors.Colormap:
@@ -43,7 +43,7 @@ def _paint(kind: np.ndarray, value: np.ndarray) -> np.ndarray:
     out = np.zeros((*kind.shape, 4))
     counted = (kind == REASONS.index("none")) | (kind == REASONS.index("not_excited"))
     out[counted] = _colours()(value[counted])
-    # Frames without evidence are shown through a screen: same colour, three quarters of the pixels left open.
+    # Frames without evidence are dotted: one quarter of their pixels has the colour.
     screen = (kind == REASONS.index("not_excited")) & ~((x % 4 < 2) & (y % 3 == 1))
     out[screen, 3] = 0.12
     for reason, mask in (
@@ -58,10 +58,10 @@ def _paint(kind: np.ndarray, value: np.ndarray) -> np.ndarray:
 
 
 def _cells(replay: Replay, t0: float, lengths: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Kind and margin of every cell of the map, each (K, MAP_WIDTH).
+    """Compute kind and margin of every cell of the map, each (K, MAP_WIDTH).
 
-    A frame fills its central half, where its window has its weight. ``t0`` is the start of the drive [s],
-    ``lengths`` (K,) are frame lengths [samples].
+    A frame fills only its central half, because its window has most of its weight there. ``t0`` is the start
+    of the drive [s], ``lengths`` (K,) are frame lengths [samples].
     """
     frames = replay.run.frames
     kind, value = np.full((len(lengths), MAP_WIDTH), -1), np.zeros((len(lengths), MAP_WIDTH))
@@ -79,8 +79,8 @@ def _cells(replay: Replay, t0: float, lengths: np.ndarray) -> tuple[np.ndarray, 
 
 
 def _frames(replay: Replay, t0: float, lengths: np.ndarray, threshold: float) -> Cells:
-    """Every frame with its numbers; ``t0`` is the start of the drive [s]. See ``margin_map`` for the
-    others."""
+    """Every frame with its numbers; ``t0`` is the start of the drive [s], ``margin_map`` explains the
+    rest."""
     frames = replay.run.frames
     end = np.round((frames.t_end_s - t0) / replay.Ts).astype(int) + 1
     order = np.lexsort((end, frames.bin))
@@ -101,7 +101,7 @@ def _bin_labels(omega: np.ndarray) -> list[str]:
 
 
 def _mark_alarms(axes: Axes, replay: Replay, omega: np.ndarray) -> None:
-    """Draw a triangle per alarm: in the row of its bin for the frame test, else above the map."""
+    """Draw one triangle per alarm: in the row of its bin for the frame test, otherwise above the map."""
     at = {w: k for k, w in enumerate(omega)}
     above = len(omega) - 0.4
     for test, marker in (("frame", "<"), ("energy", "v"), ("change", "d")):
@@ -140,10 +140,10 @@ def margin_map(
     threshold: float,
     speed_range: tuple[float, float],
 ) -> Figure:
-    """Margin of one drive over time and bins, with its alarms; below it speed and verdict.
+    """Draw the margin of one drive over time and bins with its alarms, and speed and verdict below it.
 
     ``t``, ``v`` (N,) are time [s] and speed [m/s]. ``omega``, ``lengths`` (K,) are bins [rad/s] and frame
-    lengths [samples]. ``speed_range`` is that of the model [m/s].
+    lengths [samples]. ``speed_range`` is the model's range [m/s].
     """
     K = len(omega)
     map_in, speed_in, verdict_in, gap_in, below_in = 0.135 * K, 0.72, 0.13, 0.13, 0.45
@@ -187,7 +187,7 @@ def margin_map(
 
 @picture
 def map_key() -> Figure:
-    """Key of the maps: colours of the margin, patterns of unjudged frames, colours of the verdicts."""
+    """Draw the key of the maps: colours of margins and verdicts, patterns of unjudged frames."""
     figure = new_figure(8.2, 1.35)
     axes = figure.subplots(1, 3, width_ratios=[1.2, 1.25, 1.0])
     bar = figure.colorbar(

@@ -18,9 +18,9 @@ from .drawing import BLUE, GREEN, INK, ORANGE, PINK, POINTS, RED, SKY, new_figur
 CLASS_COLOURS = (BLUE, ORANGE, GREEN, PINK, SKY)
 """Colours of the amplitude classes, smallest first; they repeat after the last."""
 APART = 0.022
-"""Relative distance between classes at one frequency, so that their bars do not hide each other."""
+"""Relative distance between the classes at one frequency, so that no bar hides another."""
 LEAST = 1e-2
-"""Lower end of the axis; smaller errors are drawn there."""
+"""Lower end of the axis; smaller errors are drawn at this end."""
 REASON_WIDTH = 26
 
 
@@ -34,11 +34,11 @@ def model_error(
     reasons: Sequence[str],
     names: Sequence[str],
 ) -> Figure:
-    """|delta_c| over frequency, a panel an output, with W_delta and the assumption beyond the data.
+    """Draw |delta_c| over frequency, one panel per output, with W_delta and the assumption beyond the data.
 
-    ``W_delta`` (N, n_y) at ``omega`` (N,) [rad/s] includes inflation. ``last`` holds per output the last
+    ``W_delta`` (N, n_y) at ``omega`` (N,) [rad/s] includes inflation. ``last`` holds each output's last
     informative frequency [rad/s], or None. ``beyond`` (G, n_y) is 1 + rho at the grid's frequencies.
-    ``reasons`` and ``names`` are per output.
+    ``reasons`` and ``names`` have one text per output.
     """
     figure = new_figure(8.2, 0.6 + 3.3 * len(names))
     panels = np.atleast_1d(figure.subplots(len(names), 1, sharex=True))
@@ -61,7 +61,7 @@ def model_error(
 
 
 def _estimates(axes: Axes, estimate: ErrorEstimate, grid: np.ndarray, j: int, marker: str, bars: str) -> None:
-    """Draw every cell's |delta_c| of output j with the bar + k se, and - k se for ``bars`` "both".
+    """Draw |delta_c| of output j in every cell with bars of k se, upwards or (``bars`` "both") both ways.
 
     Uninformative estimates, k se >= 1, are pale.
     """
@@ -111,7 +111,7 @@ def _assumed(axes: Axes, grid: np.ndarray, beyond: np.ndarray, last: float | Non
 
 
 def _legend(figure: Figure, error: ModelError) -> None:
-    """Markers by drives, colours by class, and the lines."""
+    """Draw the legend: markers for drives, colours for classes, and the lines."""
     edges = [0.0, *error.grid.amplitude_edges.tolist(), np.inf]
     entries = [
         Line2D([], [], color=POINTS, marker="o", ms=4, ls="-", label="setting the bounds, + k se"),
@@ -122,7 +122,7 @@ def _legend(figure: Figure, error: ModelError) -> None:
         ),
         Line2D([], [], color=RED, lw=1.8, label=r"$|W_\Delta|$"),
         Line2D([], [], color=INK, ls="--", lw=1.2, label=r"assumed: $1 + \rho$"),
-        Line2D([], [], color=INK, ls=":", lw=1.0, label="last frequency that tells"),
+        Line2D([], [], color=INK, ls=":", lw=1.0, label="last informative frequency"),
     ]
     if len(edges) > 2:
         for a, (low, high) in enumerate(pairwise(edges)):

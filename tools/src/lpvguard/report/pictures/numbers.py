@@ -1,7 +1,7 @@
-"""Numbers of a picture, read back from the drawn figure, for zooming and for CSV.
+"""Read the numbers of a picture back from its drawn figure, for zooming and for CSV.
 
-A picture is drawn once. Its lines, markers, bars and cells are the one source of its interactive form and of
-its table.
+A picture is drawn once. The interactive picture and the table both come from its lines, markers, bars and
+cells.
 """
 
 import csv
@@ -24,7 +24,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import FixedFormatter, FuncFormatter
 
 MOST_POINTS, MOST_BESIDE_CELLS = 1500, 300
-"""Most points of a line in the page; a longer one keeps the extremes of each stretch. CSV has all."""
+"""Most points of a line in the page; a longer line keeps the extremes of each stretch. CSV has all points."""
 SYMBOLS = {
     r"\bar\nu": "ν̄",
     r"\infty": "∞",
@@ -41,10 +41,11 @@ SYMBOLS = {
 
 @dataclass(frozen=True)
 class Trace:
-    """Numbers of one artist.
+    """Numbers of one drawn element (matplotlib artist).
 
-    ``kind``: "line" (with or without markers), "bar", "area", "level" (all x at y[0]) or "instant" (all y at
-    x[0]). ``x``, ``y`` (N,): NaN breaks a line. ``look``: colour, dash, marker, size, width, alpha.
+    ``kind``: "line" (with or without markers), "bar", "area", "level" (horizontal at y[0]) or "instant"
+    (vertical at x[0]). ``x``, ``y`` (N,): NaN breaks a line. ``look``: colour, dash, marker, size, width,
+    alpha.
     """
 
     kind: str
@@ -75,9 +76,9 @@ class Cells:
 
 @dataclass(frozen=True)
 class Panel:
-    """Axes of a picture: labels, limits, logarithmic or not, named ticks, and their traces.
+    """Axes of a picture: labels, limits, scale (logarithmic or not), named ticks and traces.
 
-    ``row`` counts from above; panels of one ``shared`` number move together in x.
+    ``row`` counts from the top; panels with the same ``shared`` number zoom together in x.
     """
 
     title: str
@@ -101,7 +102,7 @@ def attach(axes: Axes, cells: Cells) -> None:
 
 
 def plain(text: str) -> str:
-    """Text of matplotlib without its mathematical mark-up."""
+    """Remove the mathematical mark-up from a text of matplotlib."""
     for command, symbol in SYMBOLS.items():
         text = text.replace(command, symbol)
     return re.sub(r"[${}\\]", "", text).replace("\n", " ").strip()
@@ -143,7 +144,7 @@ def panels(figure: Figure) -> list[Panel]:
 
 
 def _label(axes: Axes) -> str:
-    """Label of the horizontal axis, or else of an axis that shares it."""
+    """Label of the horizontal axis, otherwise of an axis that shares it."""
     labels = (a.get_xlabel() for a in axes.get_shared_x_axes().get_siblings(axes))
     return axes.get_xlabel() or next((label for label in labels if label), "")
 
@@ -187,7 +188,7 @@ def _traces(axes: Axes) -> list[Trace]:
 
 
 def _of_line(line: Line2D, axes: Axes, label: object) -> Trace | None:
-    """A line with ``label``; None if data do not place it."""
+    """Trace of a line with ``label``; None if its position does not come from data."""
     in_x, in_y = line.get_transform().contains_branch_seperately(axes.transData)
     x, y = (np.asarray(v, float).ravel() for v in line.get_data(orig=False))
     if not (in_x or in_y) or not len(x):
@@ -208,12 +209,12 @@ def _of_line(line: Line2D, axes: Axes, label: object) -> Trace | None:
 
 
 def _name(label: object) -> str:
-    """A label as text; empty for matplotlib's own names."""
+    """Label as text; empty if matplotlib made the label itself."""
     return "" if str(label).startswith("_") else plain(str(label))
 
 
 def _colour(colour: Any) -> str:
-    """Hexadecimal colour, or the first of several."""
+    """Hexadecimal colour; the first one if there are several."""
     rgba = np.atleast_2d(colour)[0] if not isinstance(colour, str) else colour
     return to_hex(tuple(rgba) if not isinstance(rgba, str) else rgba)
 
@@ -222,7 +223,7 @@ def _colour(colour: Any) -> str:
 
 
 def to_csv(panels: list[Panel]) -> str:
-    """Table of all numbers: a row a point or a frame. A frame has start and end [s], bin and margin."""
+    """Make a table with one row per point or frame. A frame has start and end [s], bin and margin."""
     out = io.StringIO()
     table = csv.writer(out, lineterminator="\n")
     table.writerow(["panel", "series", "x_label", "y_label", "x", "y", "x_end", "value", "reason"])
@@ -264,8 +265,7 @@ def to_json(panels: list[Panel]) -> str:
 
 
 def _told_cells(cells: Cells) -> dict[str, Any]:
-    """Compact cells: number of frames per bin, run-length coded steps of the ends [samples], reasons as
-    digits."""
+    """Compact cells: frames per bin, run-length coded steps of the ends [samples], reasons as digits."""
     steps: list[int] = []
     for k in range(len(cells.lengths)):
         for step, same in groupby(np.diff(cells.end[cells.bin == k], prepend=0).tolist()):
@@ -289,7 +289,7 @@ def _told(trace: Trace, most: int) -> dict[str, Any]:
 
 
 def _thinned(x: np.ndarray, y: np.ndarray, most: int) -> tuple[np.ndarray, np.ndarray]:
-    """At most about ``most`` points: the extremes of each of most / 2 stretches."""
+    """Reduce to about ``most`` points: the extremes of each of most / 2 stretches."""
     if len(x) <= most:
         return x, y
     kept = []

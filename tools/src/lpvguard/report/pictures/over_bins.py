@@ -1,6 +1,6 @@
-"""Pictures over the bins of an identification: Figs. 2 and 3 of the paper, Pareto fronts and excitation.
+"""Pictures over the frequency bins: Figs. 2 and 3 of the paper, Pareto fronts and excitation.
 
-Frequencies are in rad/s. DC has a place left of the lowest bin.
+Frequencies are in rad/s. DC is drawn to the left of the lowest bin.
 """
 
 from collections.abc import Sequence
@@ -18,9 +18,9 @@ from .drawing import BLUE, GREEN, INK, ORANGE, PINK, POINTS, RED, SKY, legend_ab
 
 MOST_BIN_LABELS = 6
 POINTS_PER_BIN = 400
-"""Most points in a bin: the largest stay, and every n-th of the others in order of size."""
+"""Most points in a bin: the largest stay, and every n-th of the others, sorted by size."""
 DELTA_COLOURS = ((RED, BLUE), (ORANGE, SKY), (PINK, GREEN), (POINTS, INK))
-"""Colours of a bound and its weight, one pair a Delta."""
+"""Colours of a bound and its weight, one pair per Delta."""
 FRONT_COLUMNS = 5
 MOST_FRONTS = 30
 """Most panels of the Pareto picture; with more bins every n-th is drawn."""
@@ -28,8 +28,7 @@ MOST_FRONTS = 30
 
 @dataclass(frozen=True)
 class Clouds:
-    """Points per bin, lists over bins of arrays over frames: |E|, B1 (right side of (9)), nu (F, n_delta),
-    |w| (F, n_y)."""
+    """Points of each bin: lists of |E| and B1 (right side of (9)) (F,), nu (F, n_delta) and |w| (F, n_y)."""
 
     E: list[np.ndarray]
     B1: list[np.ndarray]
@@ -38,7 +37,7 @@ class Clouds:
 
 
 def _thin(values: np.ndarray) -> np.ndarray:
-    """At most about POINTS_PER_BIN of ``values`` (F,), the largest among them."""
+    """Reduce ``values`` (F,) to about POINTS_PER_BIN, including the largest."""
     if len(values) <= POINTS_PER_BIN:
         return values
     ordered = np.sort(values)[::-1]
@@ -47,8 +46,8 @@ def _thin(values: np.ndarray) -> np.ndarray:
 
 
 def _cloud(axes: Axes, grid: np.ndarray, values: list[np.ndarray], colour: str, label: str) -> None:
-    """Points over the bins, DC (bin 0) as stars. ``values``: per bin (F,). Zeros are left out: a logarithmic
-    axis has no place for them."""
+    """Draw the points of each bin, DC (bin 0) as stars. ``values``: (F,) per bin. Zeros are left out, because
+    the axis is logarithmic."""
     shown = [_thin(v[v > 0]) for v in values]
     x = np.concatenate([np.full(len(v), w) for v, w in zip(shown[1:], grid[1:], strict=False)])
     if not len(x):
@@ -77,7 +76,8 @@ def _cloud(axes: Axes, grid: np.ndarray, values: list[np.ndarray], colour: str, 
 
 
 def _bound(axes: Axes, grid: np.ndarray, values: np.ndarray, style: str, label: str, **look: Any) -> None:
-    """A bound (K,) over the bins. DC is a separate star: nothing is known between DC and the lowest bin.
+    """Draw a bound (K,) over the bins. DC is a separate star, as nothing is known between DC and the lowest
+    bin.
 
     ``look``: further arguments of matplotlib's ``Axes.plot``.
     """
@@ -87,7 +87,7 @@ def _bound(axes: Axes, grid: np.ndarray, values: np.ndarray, style: str, label: 
 
 
 def _bins(axes: Axes, grid: np.ndarray, without: np.ndarray, *, label: bool = True) -> None:
-    """Logarithmic frequency axis that names some of the bins, with DC at ``grid[0]``.
+    """Set a logarithmic frequency axis with labels at some bins and DC at ``grid[0]``.
 
     ``without`` (K,) marks bins without a counted frame; they are hatched.
     """
@@ -124,7 +124,7 @@ def disturbance_design(
     fine: np.ndarray,
     unit: str,
 ) -> Figure:
-    """Fig. 2: the disturbance bound and its parts; below it the ceiling on the uncertainty.
+    """Draw Fig. 2: the disturbance bound and its parts, and the upper limit on the uncertainty below.
 
     Points are |E| and B1 of frames. Lines are B1, B2 and gamma_w, by the rule and smoothed. ``bounds`` holds
     arrays of bounds.json; ``gamma_fine`` (N,) is the smoothed gamma_w at ``fine`` (N,) [rad/s].
@@ -166,7 +166,7 @@ def disturbance_design(
 def _decent_bottom(clouds: list[np.ndarray], bound: np.ndarray) -> float:
     """Lower end of a logarithmic axis: the 1 % quantile of the points above a thousandth of the bound.
 
-    A few points near zero would otherwise squeeze the rest.
+    Otherwise a few points near zero would compress all others.
     """
     values, largest = np.concatenate(clouds), float(np.nanmax(bound))
     values = values[values > 1e-3 * largest]
@@ -185,11 +185,11 @@ def weights_over_bounds(
     inflation: float,
     outputs: Sequence[Signal],
 ) -> Figure:
-    """Fig. 3: left, per output, points |w_j|, the bound B_w and the weights; right, points nu and W_delta.
+    """Draw Fig. 3: left |w_j|, the bound B_w and the weights of each output; right nu and W_delta.
 
     ``W_w`` (N, n_y) and ``W_n`` (N, n_y), or None where there is no noise weight, are magnitudes at ``fine``
-    (N,) [rad/s]. ``uncertainty``: W_delta with the samples above which it was fitted, one a Delta; drawn
-    times ``inflation`` over all of them.
+    (N,) [rad/s]. ``uncertainty``: W_delta and the samples that it must exceed, one pair per Delta. W_delta is
+    drawn times ``inflation``.
     """
     figure = new_figure(8.2, 3.6 if len(outputs) == 1 else 2.9 * len(outputs))
     left, beside = figure.subfigures(1, 2, width_ratios=[1, 1], squeeze=False).flat
@@ -282,9 +282,10 @@ def pareto(
     ceiling: np.ndarray,
     unit: str,
 ) -> Figure:
-    """Pareto fronts nu(gamma_w) (K, P), a panel per bin.
+    """Draw the Pareto fronts nu(gamma_w) (K, P), one panel per bin.
 
-    ``taken`` is the chosen point, gamma_w (K,) and nu (K, n_delta); ``ceiling`` (K,) is that on nu.
+    ``taken`` is the chosen point, gamma_w (K,) and nu (K, n_delta); ``ceiling`` (K,) is the upper limit on
+    nu.
     """
     known = np.flatnonzero(np.isfinite(nu).any(axis=1))
     shown = known[:: -(-len(known) // MOST_FRONTS)]
@@ -320,10 +321,10 @@ def excitation(
     disturbance: np.ndarray,
     unit: str,
 ) -> Figure:
-    """|Z| per bin with the disturbance bound, and the number of counted frames.
+    """Draw |Z| per bin with the disturbance bound, and the number of counted frames.
 
     All arrays are (K,). ``every_start_max`` is the largest |Z| over frames at every start of the
-    bound-setting drives. ``unit`` is that of |Z| and of ``disturbance``.
+    bound-setting drives. ``unit`` is the unit of |Z| and ``disturbance``.
     """
     figure = new_figure(8.2, 4.0)
     top, low = figure.subplots(2, 1, sharex=True, height_ratios=[2, 1])

@@ -96,12 +96,11 @@ def closed_loop(
     fault_start_s: float | None,
     first_invalid_s: float | None,
 ) -> Figure:
-    """Yaw rate with its wanted value, the demand and the margins of the counted frames, over one simulated
-    run.
+    """Draw yaw rate and reference, demand, and the margins of the counted frames in a simulated run.
 
     ``rows`` (N,): telemetry with fields t_s, wanted_radps, yaw_rate_radps, demand_bar. ``frames`` (F,):
     fields t_end_s, reason, margin. ``fault_start_s`` and ``first_invalid_s`` [s] are marked if given. Margins
-    above four thresholds stand at the upper edge.
+    above four thresholds are drawn at the upper edge.
     """
     figure = new_figure(8.2, 5.6)
     rate, demand, margin = figure.subplots(3, 1, sharex=True, height_ratios=[3, 2, 2])

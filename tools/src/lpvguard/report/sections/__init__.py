@@ -1,4 +1,4 @@
-"""Sections of the page, a module each.
+"""Sections of the page, one module per section.
 
 In: an identification, its drives, or the result of another command. Out: HTML that begins with an h2.
 """

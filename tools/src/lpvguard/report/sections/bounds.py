@@ -1,5 +1,4 @@
-"""Sections on the bounds: Fig. 2 (disturbance), Fig. 3 (weights), the model error model, and the Pareto
-fronts between disturbance and uncertainty."""
+"""Sections on the bounds: Fig. 2 (disturbance), Fig. 3 (weights), model error model, Pareto fronts."""
 
 from html import escape
 
@@ -27,7 +26,7 @@ def bound_sections(drawn: IdentificationPictures) -> list[str]:
 
 
 def _data_words(bounds: dict[str, np.ndarray], grid: np.ndarray) -> str:
-    """Words of Fig. 2's caption on B1, DC and bins without frames."""
+    """Part of Fig. 2's caption about B1, DC and bins without frames."""
     without = int((~(bounds["frames"] > 0)).sum())
     gaps = (
         f" {without} bins without a counted frame are hatched: no information."
@@ -53,7 +52,7 @@ def _data_words(bounds: dict[str, np.ndarray], grid: np.ndarray) -> str:
 
 
 def _disturbance(stored: StoredIdentification, estimator: Estimator, drawn: IdentificationPictures) -> str:
-    """Counterpart of Fig. 2 with its caption."""
+    """The picture that corresponds to Fig. 2, with its caption."""
     bounds = stored.bounds
     points = sum(len(c) for c in drawn.clouds.E)
     nu = np.fmax.reduce(bounds["nu"], axis=1)
@@ -79,7 +78,7 @@ def _disturbance(stored: StoredIdentification, estimator: Estimator, drawn: Iden
 
 
 def _weights(stored: StoredIdentification, drawn: IdentificationPictures) -> str:
-    """Counterpart of Fig. 3 with its caption."""
+    """The picture that corresponds to Fig. 3, with its caption."""
     weights, inflation = stored.weights, stored.weights["inflation"]
     clouds, structure = drawn.clouds, stored.project.bounds.structure
     points = sum(len(c) for c in clouds.E)
@@ -110,7 +109,7 @@ def _weights(stored: StoredIdentification, drawn: IdentificationPictures) -> str
 
 
 def _model_error(stored: StoredIdentification, drawn: IdentificationPictures) -> str:
-    """Model error model beside W_delta, and the premise of every certificate in a sentence."""
+    """Model error model together with W_delta, and one sentence on the premise of every certificate."""
     project, error = stored.project, stored.model_error
     names = [s.name for s in project.outputs]
     last = [None if k < 0 else float(error.grid.omega[k]) for k in last_telling(error.setting)]
@@ -134,7 +133,7 @@ def _model_error(stored: StoredIdentification, drawn: IdentificationPictures) ->
 
 
 def _front(stored: StoredIdentification, drawn: IdentificationPictures) -> str:
-    """Pareto front per bin, or words where there is none."""
+    """Pareto front per bin, or a sentence if there is none."""
     front, shown = stored.front, drawn.front("front")
     if shown is None:
         return "<p>Structure S0 puts all error into the disturbance: there is nothing to trade.</p>"

@@ -1,4 +1,4 @@
-"""Section "Campaign in the closed loop": many trucks and faults, the monitor and the baselines."""
+"""Section "Campaign in the closed loop": simulated trucks and faults, the monitor and the baselines."""
 
 from html import escape
 
@@ -35,12 +35,12 @@ def _severity(c: dict, row: dict) -> str:
 
 
 def _level(severity: dict) -> str:
-    """Upper bound of mu of the faulted loop, or that the loop is unstable."""
+    """Text with the upper bound of mu of the faulted loop, or that the loop is unstable."""
     return number(severity["mu_upper"]) if severity["loop_stable"] else "unstable"
 
 
 def _falsified(c: dict) -> str:
-    """Names of the runs of trucks within the bounds that contradict the certificate."""
+    """Paragraph on the runs within the bounds that contradict the certificate."""
     falsified = c["falsified"]
     text = f"""<p><b>Falsified certificates: {share_words(falsified["rate"])}</b> of the runs within the \
 bounds. There a run that oscillates,
@@ -75,7 +75,7 @@ def _checked(within: dict) -> str:
 
 
 def _runs(c: dict) -> str:
-    """Description of the runs, of the rates, and of "visible"."""
+    """Paragraph that describes the runs, the rates, and the word "visible"."""
     within = c["within"]
     faulted = sum(s["runs"] for s in c["severities"])
     claims = "; ".join(f"{escape(t)} test: {escape(limit['claim'])}" for t, limit in c["calibrated"].items())
@@ -94,7 +94,7 @@ bounds,
 
 
 def _overall(c: dict) -> str:
-    """False alarms and found faults, a column per detector."""
+    """Table of false alarms and found faults, one column per detector."""
     names, within, stated = c["detectors"], c["within"], c["matched_stated"]
     matched = escape(c["matched_claim"])
     return html_table(
@@ -119,7 +119,7 @@ def _overall(c: dict) -> str:
 
 
 def _alarm_table(c: dict) -> str:
-    """Alarms of each of the monitor's tests in the runs within the bounds, with the calibrated rate."""
+    """Table of alarms in the runs within the bounds, per test of the monitor, with the calibrated rate."""
     tests = c["within"]["tests"]
     return html_table(
         [
@@ -170,7 +170,7 @@ calibrated thresholds, found {escape(c["matched_claim"])}, and the median time f
 
 
 def drawn_campaign(c: dict) -> dict[str, Picture]:
-    """Draw detection and time to the first alarm against severity.
+    """Draw detection and time to the first alarm over severity.
 
     Parameters
     ----------
@@ -211,7 +211,7 @@ def _pictures(c: dict) -> str:
 
 
 def _kind_table(c: dict) -> str:
-    """Share found per kind of fault and detector, at both sets of thresholds, and the leader."""
+    """Table of the share found per kind of fault and detector, at both sets of thresholds, and the leader."""
     names, matched = c["detectors"], escape(c["matched_claim"])
 
     def best(detectors: list[str]) -> str:
@@ -232,7 +232,7 @@ def _kind_table(c: dict) -> str:
 
 
 def _beaten(c: dict) -> str:
-    """Faults of which a baseline finds more than the monitor."""
+    """Kinds of fault on which a baseline finds more than the monitor."""
     names = c["detectors"]
     return (
         "; ".join(
@@ -245,7 +245,7 @@ def _beaten(c: dict) -> str:
 
 
 def _severity_table(c: dict) -> str:
-    """A row per kind and severity: distance, mu, runs, and what each detector found."""
+    """Table with one row per kind and severity: distance, mu, runs, and what each detector found."""
     names = c["detectors"]
     return html_rows(
         {
@@ -265,7 +265,7 @@ def _severity_table(c: dict) -> str:
 
 
 def _invisible(c: dict) -> str:
-    """Faults that lose robust performance though few runs show it."""
+    """Faults that lose robust performance although few runs show it."""
     hidden = "; ".join(
         f"{escape(s['kind'])} {_severity(c, s)} (mu {_level(s)}, found {s['found']['monitor']} of "
         f"{s['runs']})"
@@ -295,7 +295,7 @@ value that passes for a good one. <code>GUARD_IN</code> was {c["command_authenti
 
 
 def _bus_table(c: dict) -> str:
-    """A row per fault of the bus and severity."""
+    """Table with one row per bus fault and severity."""
     return html_rows(
         {
             "fault": escape(s["kind"]),

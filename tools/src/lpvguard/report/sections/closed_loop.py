@@ -1,4 +1,4 @@
-"""Section "The closed loop over CAN frames": simulated runs of the compiled ECU loop."""
+"""Section "The closed loop over CAN frames": simulated runs of the compiled ECU code."""
 
 from html import escape
 from pathlib import Path

@@ -29,7 +29,7 @@ MARGINS = {
 def design_section(folder: Path) -> str:
     """The section; ``folder`` is written by `lpvguard design`.
 
-    Table II and its pictures may be missing, and ROBUST too. Raises InputError where ROBUST is of another
+    Table II, its pictures and ROBUST may be missing. Raises InputError if ROBUST belongs to another
     controller.
     """
     controller = artefacts.read_json(folder / "controller.json")["certificates"]
@@ -62,7 +62,7 @@ def design_section(folder: Path) -> str:
 
 
 def _robustness(robustness: dict | None) -> str:
-    """Robustness of the loop at every node besides mu; "" without a claim."""
+    """Robustness measures other than mu at every node; "" without a claim."""
     if robustness is None:
         return ""
 
@@ -103,7 +103,7 @@ may be in the ν-gap and still be stabilised.</p>{html_table(titles, rows, "tigh
 
 
 def _slow_delta(slow_delta: dict | None) -> str:
-    """Allowed rate of Δ; "" without a claim."""
+    """Allowed rate of change of Δ; "" without a claim."""
     if slow_delta is None:
         return ""
 
@@ -137,7 +137,7 @@ see the mean of a Δ that turns its sign within them: {number(hidden[0])}/s in t
 
 
 def _limits(limits: dict | None) -> str:
-    """Proof for a demand at its limits; "" without a claim."""
+    """Proof for a demand at its limits (saturation); "" without a claim."""
     if limits is None:
         return ""
     rows = []
@@ -170,7 +170,7 @@ untouched.</p>{table}"""
 
 
 def _true_loop(path: Path, controller: str) -> str:
-    """Promised and true margins and the distance from the nominal model, from ROBUST at ``path``.
+    """Promised and true margins, and the distance from the nominal model, from ROBUST at ``path``.
 
     ``controller`` is its SHA-256.
     """
@@ -252,7 +252,7 @@ e<sup>−15</sup> to e<sup>15</sup>.</p>{rows}{weights}"""
 
 
 def _worst_case(run: dict, fig6: Picture) -> str:
-    """Runs with the worst uncertainty, ``run``: the object fig6 of figures.json, and their picture."""
+    """Picture of the runs with the worst uncertainty. ``run``: the object fig6 of figures.json."""
     measured = html_table(
         [
             "controller",

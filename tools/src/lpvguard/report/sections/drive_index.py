@@ -1,4 +1,4 @@
-"""Index of the drives: a row a drive with its course as a small picture and a link to its section.
+"""Index of the drives: one row per drive with a small picture over time and a link to its section.
 
 page.js sorts and searches it.
 """
@@ -35,14 +35,14 @@ STEP, TOP, LINE, STRIP = 2, 2, 8, 4
 verdicts."""
 HEIGHT = 26
 MOST = 1.25
-"""End of its axis, in thresholds."""
+"""Upper end of the picture's axis, in units of the threshold."""
 
 
 def _small(drive: DriveSummary) -> str:
-    """The drive's course as a small picture.
+    """Draw the drive's largest statistic and its verdict over time as a small picture.
 
-    Bars show the largest statistic over threshold, a dashed line the threshold, triangles larger values, and
-    a strip below the verdict.
+    Bars show the largest statistic over threshold. A dashed line shows the threshold, and triangles show
+    larger values. A strip below shows the verdict.
     """
     base = HEIGHT - STRIP - 1
     scale = (base - LINE) / 1.0
@@ -76,7 +76,7 @@ def _colour(code: int) -> str:
 
 
 def _explained(drive: DriveSummary) -> tuple[str, float | None]:
-    """Text and value of the drive's explained variance."""
+    """Text and value of the variance that the model explains in the drive."""
     if np.isnan(drive.vaf):
         return "–", None
     text = f"{drive.vaf:.1%}"

@@ -25,7 +25,7 @@ ALARMS_LISTED = 10
 def visit(
     visits: Visits, stored: StoredIdentification, replayer: Replayer, drive: Drive, yhat: np.ndarray, key: str
 ) -> DriveSummary:
-    """Replay a drive, keep its counted frames and longest stretches in ``visits``, and return its summary.
+    """Replay a drive, store its counted frames and longest stretches in ``visits``, and return its summary.
 
     yhat (N, n_y) is the nominal output. ``key`` is the id of its section and name of its picture, unique on
     the page.
@@ -68,7 +68,7 @@ def visit(
 def visit_plain(visits: Visits, stored: StoredIdentification, drives: DriveSet, drive: Drive) -> list[str]:
     """Judge the drive's frame of the plain DFT by the exact margin under the stored weights.
 
-    Keeps the frame in ``visits`` and returns the drive's row of the table.
+    It stores the frame in ``visits`` and returns the drive's row of the table.
     """
     reader, project = drives.reader, stored.project
     estimator, model = reader.estimator, reader.model
@@ -100,7 +100,7 @@ def visit_plain(visits: Visits, stored: StoredIdentification, drives: DriveSet, 
 
 
 def plain_section(rows: list[list[str]]) -> str:
-    """The section for bounds of the plain DFT: the ``rows`` that ``visit_plain`` returned."""
+    """The section for bounds of the plain DFT; ``visit_plain`` returned the ``rows``."""
     table = html_table(
         [
             "drive",
@@ -157,7 +157,7 @@ def _facts(replay: Replay) -> str:
 
 
 def _alarm_table(alarms: list[Alarm]) -> str:
-    """First alarms of a drive with their evidence, and the number of others."""
+    """Table of the first alarms of a drive with their evidence, and the number of further ones."""
     if not alarms:
         return ""
     head = [
@@ -221,7 +221,7 @@ def _drive_page(
 
 
 def drive_section(summaries: list[DriveSummary], threshold: float) -> str:
-    """The section: the index of drives, the key of the maps, then each drive, as returned by ``visit``."""
+    """The section: the index of drives, the key of the maps, then each drive that ``visit`` returned."""
     key = captioned(
         map_key("key"),
         "<b>How to read the maps.</b> Time runs to the right, a line per bin, DC at the bottom. Each cell is "

@@ -1,5 +1,4 @@
-"""Section "Evaluation": false alarms, injected faults and baselines, leave-one-drive-out or on held-out
-drives."""
+"""Section "Evaluation": false alarms, injected faults and baselines."""
 
 from html import escape
 
@@ -66,7 +65,7 @@ def _alarm_table(evaluation: dict) -> str:
 
 
 def _claim_table(evaluation: dict) -> str:
-    """Promise of the thresholds: as identified, and for each drive without itself."""
+    """Table of what the thresholds promise: as identified, and for each drive without itself."""
     return html_table(
         ["calibration", "promise of its threshold"],
         [
@@ -88,7 +87,7 @@ def _claim_table(evaluation: dict) -> str:
 
 
 def _drive_table(evaluation: dict) -> str:
-    """A row per drive: thresholds, scores, alarms, judged time, fault instants."""
+    """Table with one row per drive: thresholds, scores, alarms, judged time, fault instants."""
     without = " without it" if evaluation["mode"] == LEFT_ONE_OUT else ""
     return html_rows(
         {
@@ -125,7 +124,7 @@ def _time_to_find(faults: list[dict], within_s: float) -> str:
 
 
 def _injected_faults(evaluation: dict) -> str:
-    """Injected faults found: by all tests at one threshold, as exported, by each test alone."""
+    """Found faults for all tests at one threshold, for the tests as exported, and for each test alone."""
     without = "; ".join(f"{escape(n)}: {escape(why)}" for n, why in evaluation["without_faults"].items())
     titles = {MONITOR: OURS, EXPORTED: "as exported, each test at its threshold"} | {
         t: f"{t} test alone" for t in TESTS
@@ -157,7 +156,7 @@ later than all. Not into {without or "none left"}.</p>{times}{table}
 
 
 def _causes(evaluation: dict) -> str:
-    """Causes that the core names; empty where it names none."""
+    """Causes that the core names; empty if it names none."""
     causes = evaluation["causes"]
     if causes is None:
         return ""
@@ -172,9 +171,9 @@ equivalent gain. {sentences}.</p>{table}"""
 
 
 def _detectors(detectors: dict[str, DetectorColumn], best: list[str] | None = None) -> str:
-    """False alarms and found faults, a column per detector; ``best`` is the leader per fault.
+    """Table of false alarms and found faults, one column per detector; ``best`` is the leader per fault.
 
-    ``detectors`` are by title.
+    ``detectors`` has the titles as keys.
     """
     return html_table(
         ["", *map(escape, detectors), *(["best"] if best else [])],
@@ -183,7 +182,7 @@ def _detectors(detectors: dict[str, DetectorColumn], best: list[str] | None = No
 
 
 def _baselines(evaluation: dict) -> str:
-    """The baselines and the monitor: settings, claims and leaders."""
+    """Compare baselines and monitor: settings, claims and leaders."""
     others, detectors, rates = evaluation["baselines"], columns(evaluation), evaluation["stated_rates"]
     if not others:
         return "<h3>Beside what is used today</h3><p>Not compared: too few drives calibrate a baseline.</p>"

@@ -1,4 +1,4 @@
-"""Section "Which part differs": the table of isolability (THEORY 7.21)."""
+"""Section "Which part differs": the table of faults that can be isolated (THEORY 7.21)."""
 
 from html import escape
 

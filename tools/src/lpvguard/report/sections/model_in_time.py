@@ -1,4 +1,4 @@
-"""Section "The nominal model in time": the counterpart of Fig. 4."""
+"""Section "The nominal model in time", which corresponds to Fig. 4."""
 
 from html import escape
 
@@ -10,7 +10,7 @@ from ..pictures.over_time import Stretch, model_in_time
 from ..visits import Visits
 
 LONGEST_STRETCH_S = 60.0
-"""Longest drawn part of a stretch, so that single corners can be seen."""
+"""Longest drawn part of a stretch [s], so that single bends of the road can be seen."""
 
 
 def time_section(visits: Visits, stored: StoredIdentification, drives: DriveSet) -> str:

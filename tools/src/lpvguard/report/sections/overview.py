@@ -1,5 +1,4 @@
-"""Section "At a glance", the first screen: tested and blind regions, alarms, and the controller's
-promises."""
+"""Section "At a glance", the first screen: tested and blind regions, alarms, the controller's promises."""
 
 from collections.abc import Iterable
 from html import escape
@@ -21,7 +20,7 @@ from ..markup import number, yes_or_no
 ALARMS_SHOWN = 4
 UNEXPLAINED_SHOWN = 3
 SIGNS = {PROVED: "●", BLIND: "○", EMPTY: "–", VIOLATED: "▲"}
-"""Signs of a cell's state, independent of its colour."""
+"""Sign of each state of a cell, beside its colour."""
 AS_NEAR = 5e-4
 """Largest difference between ratios to the threshold that are shown as equal."""
 NEVER = 2.0
@@ -37,8 +36,8 @@ def overview_section(
 ) -> str:
     """Make the section.
 
-    ``summaries`` are the replayed drives, none unless ``replayed``. ``design`` is the folder of `lpvguard
-    design`, and ``evaluation`` the JSON of `lpvguard evaluate`.
+    ``summaries`` are the replayed drives; the list is empty if ``replayed`` is False. ``design`` is the
+    folder of `lpvguard design`. ``evaluation`` is the JSON of `lpvguard evaluate`.
     """
     alarms = [(d, a) for d in summaries for a in d.alarms]
     grid = cells(stored.visibility, (a for _, a in alarms))
@@ -55,9 +54,9 @@ def overview_section(
 def _headline(
     grid: list[list[MapCell]], summaries: list[DriveSummary], replayed: bool, independent: int
 ) -> str:
-    """One sentence: whether the model held, and on how much of its range.
+    """Headline: whether the model held, and on how much of its range.
 
-    It is green only where a drive was judged that set neither bounds nor threshold.
+    It is green only if a judged drive set neither bounds nor threshold.
     """
     flat = [c for row in grid for c in row]
     proved = sum(c.state == PROVED for c in flat)
@@ -91,12 +90,12 @@ def outcome(summaries: list[DriveSummary]) -> str:
 
 
 def _percent(error: float) -> str:
-    """A gain error as HTML text; none above NEVER."""
+    """Format a gain error as HTML text, at most as NEVER."""
     return f"{100 * error:.0f} %" if error <= NEVER else f"&gt;{100 * NEVER:.0f} %"
 
 
 def _short(error: float) -> str:
-    """A gain error [%] in a cell, with a decimal where rounding would hide its side of LEVEL."""
+    """Format a gain error [%], with a decimal if rounding would hide on which side of LEVEL it is."""
     if error > NEVER:
         return f"&gt;{100 * NEVER:.0f}"
     return f"{100 * error:.{1 if 0 < abs(error - LEVEL) < 5e-3 else 0}f}"
@@ -113,7 +112,7 @@ def _data(values: dict[str, str]) -> str:
 
 
 def _run_words(first: MapCell, last: MapCell) -> str:
-    """A run of bins in words."""
+    """Frequency range of a run of bins as text."""
     if first.bin == last.bin:
         return _frequency(first.omega, " rad/s")
     return f"{_frequency(first.omega)} to {_frequency(last.omega)} rad/s"
@@ -133,7 +132,7 @@ def _listed(name: str, regions: list[Region]) -> str:
 
 
 def _good_for(grid: list[list[MapCell]]) -> str:
-    """Words on where a gain error of LEVEL is seen, and where it could stay unseen."""
+    """Lists of where a gain error of LEVEL is seen, and where it could stay unseen."""
     seen = regions(grid, lambda c: c.state == PROVED)
     unseen = regions(grid, lambda c: c.state in (BLIND, EMPTY))
     broken = regions(grid, lambda c: c.state == VIOLATED)
@@ -188,9 +187,9 @@ def _map_cell(row: int, cell: MapCell) -> str:
 
 
 def blind_map(stored: StoredIdentification, grid: list[list[MapCell]], alarms: Iterable[Alarm]) -> str:
-    """The main picture, HTML: speed over frequency, the fastest cell on top.
+    """The main picture as an HTML table: speed over frequency, with the highest speed at the top.
 
-    ``alarms`` are of all drives; those of other tests than the frame test have a separate column.
+    ``alarms`` come from all drives. Alarms of the energy and the change test have a separate column.
     """
     others = [0] * len(grid)
     for a in (a for a in alarms if a.bin_rad_s is None):
@@ -220,7 +219,7 @@ here: the vehicle's ordinary error can hide or add to it.{_limit_words(grid)}</f
 
 
 def _limit_words(grid: list[list[MapCell]]) -> str:
-    """Words on the limit of detection beside what the frame test sees."""
+    """Sentence that compares the limit of detection with what the frame test sees."""
     pairs = [(c.gain_error, c.limit) for row in grid for c in row if c.limit is not None]
     ratios = [seen / limit for seen, limit in pairs if seen is not None]
     if not ratios:
@@ -238,7 +237,7 @@ def _limit_words(grid: list[list[MapCell]]) -> str:
 
 
 def place(test: str, omega: float | None, band: str | None = None) -> str:
-    """Test and frequency [rad/s] of an alarm or near alarm, as text."""
+    """Text with the test and frequency [rad/s] of an alarm or of the nearest approach to one."""
     if omega is None:
         return f"{test} test" + (f", {band.replace('_', ' ')} the corners" if band else "")
     return f"{test} test, {_frequency(omega, ' rad/s')}"
@@ -255,7 +254,7 @@ def _alarm_row(drive: DriveSummary, alarm: Alarm) -> str:
 
 
 def _nearest_words(drive: DriveSummary, near: Nearest, quiet: list[tuple[DriveSummary, Nearest]]) -> str:
-    """The drive nearest to an alarm among all ``quiet`` ones, and those as near."""
+    """The drive nearest to an alarm among all ``quiet`` drives, and the drives that are as near."""
     data = {
         "drive": escape(drive.name),
         "ratio": f"{near.ratio:.4g}",
@@ -276,7 +275,7 @@ def _nearest_words(drive: DriveSummary, near: Nearest, quiet: list[tuple[DriveSu
 
 
 def _independence(independent: int, evaluation: dict | None) -> str:
-    """Evidence value of alarms or silence: how many drives set neither bounds nor threshold."""
+    """How much alarms or silence prove: how many drives set neither bounds nor threshold."""
     words = (
         f"{independent} of the drives set neither bounds nor threshold."
         if independent
@@ -298,7 +297,7 @@ def _independence(independent: int, evaluation: dict | None) -> str:
 
 
 def _alarms(summaries: list[DriveSummary], alarms: list[tuple[DriveSummary, Alarm]], worth: str) -> str:
-    """Card: the alarms with their reasons, their ``worth`` as HTML, and the nearest drive."""
+    """Card with the alarms, what they prove (``worth``, HTML), and the drive nearest to an alarm."""
     if not summaries:
         return (
             '<div class="card" id="alarms"><h3>Alarms</h3><p>Not replayed: the core computes Hann frames '
@@ -334,7 +333,7 @@ def _alarms(summaries: list[DriveSummary], alarms: list[tuple[DriveSummary, Alar
 
 
 def _promise(stored: StoredIdentification, design: Path | None) -> str:
-    """Card: the controller's promise, and the premise of every promise."""
+    """Card with the controller's promise and the premise of every promise."""
     try:
         evidence = premise(stored)
         least = evidence.refuting
@@ -376,7 +375,7 @@ vehicle within |δ| ≤ W<sub>Δ</sub>. {
 
 
 def _unexplained(summaries: list[DriveSummary]) -> str:
-    """Drives that the model does not explain, worst first, with advice; "" without any."""
+    """Drives that the model does not explain, worst first, with advice; "" if there are none."""
     worst = sorted(
         ((d, d.unexplained) for d in summaries if d.unexplained is not None), key=lambda one: one[1].vaf
     )
@@ -396,7 +395,7 @@ def _unexplained(summaries: list[DriveSummary]) -> str:
 
 
 def _to_do(grid: list[list[MapCell]], summaries: list[DriveSummary]) -> str:
-    """Card: remedies for blind cells, and drives that reduce visibility."""
+    """Card with remedies for blind cells, and drives that reduce visibility."""
     level = _percent(LEVEL)
     flat = [c for row in grid for c in row]
     louder = regions(grid, lambda c: c.state == BLIND and c.floor <= LEVEL)

@@ -20,7 +20,7 @@ from ..markup import html_rows, html_table, number, premise_words, yes_or_no
 
 
 def _estimator_words(stored: StoredIdentification, estimator: Estimator) -> str:
-    """Settings of the frames in a sentence."""
+    """Sentence with the settings of the frames."""
     frames, length_s = stored.project.frames, estimator.length * estimator.Ts
     common = (
         f"{estimator.n_bins - 1} bins from {estimator.omega[1]:.3g} to {estimator.omega[-1]:.3g} rad/s and "
@@ -40,7 +40,7 @@ def _estimator_words(stored: StoredIdentification, estimator: Estimator) -> str:
 
 
 def _core_words(stored: StoredIdentification, replayer: Replayer | None) -> str:
-    """Return whether the replaying core has the numbers of this identification."""
+    """Sentence on whether the replaying core has the numbers of this identification."""
     if replayer is None:
         return (
             "none: the core computes Hann frames only; these bounds are for analysis, and export, replay and "
@@ -56,7 +56,7 @@ def _core_words(stored: StoredIdentification, replayer: Replayer | None) -> str:
 
 
 def _claim(stored: StoredIdentification) -> str:
-    """Promise of the frame test's threshold."""
+    """What the frame test's threshold promises."""
     calibration = stored.calibration
     if calibration.groups or calibration.extrapolation is not None:
         return escape(calibration.claim())
@@ -72,7 +72,7 @@ def _claim(stored: StoredIdentification) -> str:
 
 
 def _conditional_claim(stored: StoredIdentification) -> str:
-    """Promise of the threshold with 95 % confidence over the calibration drives."""
+    """What the threshold promises with 95 % confidence over the calibration drives."""
     bound = stored.calibration.conditional_bound
     if bound is None:
         return "–"
@@ -100,7 +100,7 @@ def _drive_rows(stored: StoredIdentification) -> list[tuple[str, str]]:
 
 
 def premise_of(stored: StoredIdentification) -> str:
-    """Sentence of the premise and its conclusion, or the reason why nothing judges it."""
+    """Sentence on the premise and its conclusion, or why it cannot be judged."""
     try:
         return premise_words(premise(stored).to_dict())
     except InputError as error:
@@ -203,7 +203,7 @@ DC stands at {DC_STAND_IN:g} times the lowest bin's frequency, so “at”
 
 
 def _window_error(stored: StoredIdentification, estimator: Estimator) -> str:
-    """Cost of the estimator where dynamics are inverted, per bin."""
+    """Table of the estimator's error per bin if dynamics are inverted."""
 
     def row(label: str, key: str) -> list[str]:
         return [label, *(number(x, 2) for x in stored.bounds[key])]
@@ -223,7 +223,7 @@ compares spectra of e and ŷ, inverts nothing and does not have it.</p>"""
 
 
 def _limit(value: float | str) -> str:
-    """A frequency [rad/s]; a certificate states infinity as the text "inf"."""
+    """Format a frequency [rad/s]; a certificate states infinity as the text "inf"."""
     return "∞" if isinstance(value, str) else number(value)
 
 
@@ -242,7 +242,7 @@ def _same_numbers(stored: StoredIdentification, replayer: Replayer) -> float:
 
 
 def _change_words(test: ChangeTest, project: Project) -> str:
-    """Settings and numbers of the change test in a sentence."""
+    """Sentence with the settings and numbers of the change test."""
     c = test.calibration
     return (
         f"memory {test.memory_s:g} s; largest on the bound-setting drives: "
@@ -251,7 +251,7 @@ def _change_words(test: ChangeTest, project: Project) -> str:
 
 
 def _energy_words(test: EnergyTest, project: Project) -> str:
-    """Settings and numbers of the energy test in a sentence."""
+    """Sentence with the settings and numbers of the energy test."""
     c = test.calibration
     least = min(certificate["min_ratio"] for certificate in test.certificate)
     *corners, last = (f"{2 * np.pi * f:.3g}" for f in test.band_hz)

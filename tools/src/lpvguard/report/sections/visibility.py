@@ -1,4 +1,4 @@
-"""Section "Excitation and what stays invisible": |Z| per bin, and the smallest visible errors."""
+"""Section "Excitation and what stays invisible": |Z| per bin and the smallest visible errors."""
 
 from html import escape
 
@@ -12,7 +12,7 @@ from ..visits import Visits
 
 
 def visibility_section(visits: Visits, drawn: IdentificationPictures) -> str:
-    """The section: excitation in the counted frames of ``visits``, and the tables of visibility.json."""
+    """The section: excitation in the counted frames of ``visits`` and the tables of visibility.json."""
     stored, estimator = drawn.stored, drawn.estimator
     return f"""<h2>Excitation and what stays invisible</h2>{_excitation(visits, drawn)}
 {_smallest_visible(stored.visibility, estimator, unit_of_norm(stored.project.outputs))}"""
