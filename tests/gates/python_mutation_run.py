@@ -54,6 +54,7 @@ MEASURED = {
     "engine/synthesis/cases.py": 141,
     "engine/synthesis/central.py": 149,
     "engine/synthesis/constant_scalings.py": 432,
+    "engine/synthesis/coordinates.py": 182,
     "engine/synthesis/direct_terms.py": 53,
     "engine/synthesis/errors.py": 0,
     "engine/synthesis/gamma_search.py": 393,

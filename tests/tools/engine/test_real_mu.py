@@ -286,6 +286,17 @@ def test_at_one_frequency_the_scalings_prove_the_bound_and_none_below_it():
     assert not prover.verified((), bounds.upper, 0.0, 0.0)
 
 
+def test_where_rounding_decides_boxes_are_given_up_and_the_bound_says_so(monkeypatch):
+    """Rotated, [[0, 3], [0, 0]] has a real eigenvalue or none by its last digits, and μ is 0 or 1e-8."""
+    tried, advance = [], Prover.advance
+    monkeypatch.setattr(Prover, "advance", lambda self, *part: tried.append(part) or advance(self, *part))
+    turn = np.array([[0.8, -0.6], [0.6, 0.8]])
+    M = turn @ [[0.0, 3.0 + 1.0j], [0.0, 0.0]] @ turn.T
+    bounds = mu_bounds(M, [Block("repeated_real", 2, 2)])
+    assert bounds.lower < 1e-6 and bounds.upper < 1e-4 and not bounds.resolved
+    assert len(tried) < 200  # 1520 of a like matrix when all were halved to the end
+
+
 def test_a_part_of_no_width_proves_only_itself():
     M = np.array([[2.0]])
     prover, point = Prover(M, Structure((REAL,))), mu_bounds(M, [REAL]).proof[0].point

@@ -284,6 +284,24 @@ def test_entries_in_other_coordinates_are_right_to_the_last_digit():
     np.testing.assert_array_equal(other.C, (exact(G.C) @ exact(T)).astype(float))
     with pytest.raises(np.linalg.LinAlgError):
         coordinates.transformed(G, U * [1e-20, 1.0, 1.0] @ V)
+    small = StateSpace(1e-30 * G.A, 1e-30 * G.B, G.C, G.D)
+    with pytest.raises(np.linalg.LinAlgError):
+        coordinates.transformed(small, U * [1e-20, 1.0, 1.0] @ V)
+
+
+@pytest.mark.parametrize("entry", [0.0, 0.5 + 2.0**-53])
+def test_its_own_coordinates_keep_every_digit_of_a_system(entry):
+    G = StateSpace([[entry]], [[0.0]], [[0.0]], [[0.0]])
+    assert coordinates.transformed(G, np.eye(1)).A.item() == entry
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_coordinates_of_condition_3e12_are_refined_to_the_last_digit(seed):
+    random = np.random.default_rng(seed)
+    U, V = (np.linalg.qr(random.standard_normal((4, 4)))[0] for _ in range(2))
+    T = U * np.geomspace(1, 3e-13, 4) @ V
+    G = StateSpace(random.standard_normal((4, 4)), np.zeros((4, 1)), np.zeros((1, 4)), [[0.0]])
+    assert np.trace(coordinates.transformed(G, T).A) == pytest.approx(np.trace(G.A), abs=1e-2)
 
 
 def test_modes_stand_apart_in_real_blocks():

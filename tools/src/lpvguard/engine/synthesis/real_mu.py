@@ -27,6 +27,9 @@ RAISE = 0.05
 """Share by which the level is raised then; it doubles from level to level."""
 ZERO = 1e-6
 """A μ below this share of the loop's size counts as zero; the level proved then is that share."""
+NARROW, COARSE = 1e-8, 1e-2
+"""Half width of a box in shares of 1/β below which rounding decides where it resists. From then on the level
+is raised where a box of the second one resists."""
 GRID, STARTS, AT_PEAKS = 120, 8, 3
 MISSES = 6
 """Searches at one frequency, one after the other, that find nothing better: there are no more then."""
@@ -88,7 +91,7 @@ def real_mu(
     level = max(search.best.value * (1 + rtol), ZERO * size, np.finfo(float).tiny, least)
     edge = np.full(len(search.real), 1 / level)
     todo, proof = [Part(ParameterBox(-edge, edge), low, high)], []
-    tried, resisting, share, aim, most = 0, 0, RAISE, rtol, FIRST_PARTS
+    tried, resisting, share, aim, most, narrow = 0, 0, RAISE, rtol, FIRST_PARTS, NARROW
     while todo and level < known:
         part = todo.pop()
         box = part.box.within(1 / level)
@@ -104,6 +107,8 @@ def real_mu(
             if (resisting <= FIRST or resisting % LATER == 0) and search.improve(part, omega):
                 level = max(level, search.best.value * (1 + aim))
                 rest = [part]
+            elif box.radius.max() * level <= narrow:
+                most, share, narrow = min(most, tried), max(share, 1.0), COARSE
         todo += rest
         if tried >= most and search.best.value and aim < RELAXED:
             aim, most = RELAXED, tried + (MOST_PARTS if search.pure else MOST_MIXED)
