@@ -90,10 +90,10 @@ def test_a_level_is_known_to_a_tenth_or_a_billionth_unless_asked_for_more(shift)
     """Of real forms, too."""
     q = np.stack([np.diag([1.0, -1.0]), np.diag([-1.0, 1.0])]) + shift * np.eye(2)
     c = lmi.cone(2 * [("psd", 1)])
-    found, stated = lmi.maximise_level(q, c), lmi.maximise_level(q + 0j, c, relative=0.1, absolute=1e-9)
-    assert (found.x, found.x_above) == (stated.x, stated.x_above)
-    assert found.x <= shift <= found.x_above
-    assert 0 < found.x_above - found.x <= max(1e-9, 0.1 * abs(found.x))
+    default, stated = lmi.maximise_level(q, c), lmi.maximise_level(q + 0j, c, relative=0.1, absolute=1e-9)
+    assert (default.x, default.x_above) == (stated.x, stated.x_above)
+    assert default.x <= shift <= default.x_above
+    assert 0 < default.x_above - default.x <= max(1e-9, 0.1 * abs(default.x))
 
 
 def test_the_primal_matrix_is_the_slacks_inverse():
