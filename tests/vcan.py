@@ -2,6 +2,7 @@
 
 import os
 import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -34,3 +35,9 @@ def with_vcan(
     if done.returncode == 125 and "no AF_CAN here" in done.stderr:
         pytest.skip(done.stderr.strip())
     return done
+
+
+def sim_words(coefficients: Path, *scenarios: object) -> list[object]:
+    """Words of `lpvguard sim` on vcan0 with JSON on standard output."""
+    program = [sys.executable, "-m", "lpvguard.cli", "sim", *scenarios]
+    return [*program, "--coefficients", coefficients, "--bus", "socketcan:vcan0", "--json", "-"]

@@ -162,17 +162,9 @@ def unpacked(archive: Path, folder: Path) -> Path:
 
 def wheel(sources: Path, target: Path, epoch: str) -> Path:
     """The wheel of unpacked sources, in ``target``; ``epoch``: the time of its files."""
-    pip = (
-        sys.executable,
-        "-m",
-        "pip",
-        "wheel",
-        "--quiet",
-        "--disable-pip-version-check",
-        "--no-deps",
-        "--no-build-isolation",
-    )
-    run(*pip, "--wheel-dir", target, sources / "tools", cwd=sources, SOURCE_DATE_EPOCH=epoch)
+    pip = (sys.executable, "-m", "pip", "wheel", "--quiet", "--disable-pip-version-check")
+    alone = ("--no-deps", "--no-build-isolation", "--wheel-dir", target)
+    run(*pip, *alone, sources / "tools", cwd=sources, SOURCE_DATE_EPOCH=epoch)
     (made,) = target.glob("*.whl")
     return made
 

@@ -114,22 +114,16 @@ def build_core(tree: Path, scratch: Path, variant: str, target: str) -> tuple[Pa
     compiler, real, build_type = variant.split("-")
     c, cxx = COMPILERS[compiler]
     folder = scratch / variant
+    settings = {
+        "CMAKE_C_COMPILER": c,
+        "CMAKE_CXX_COMPILER": cxx,
+        "CMAKE_BUILD_TYPE": build_type,
+        "LPVG_BUILD_TESTS": "OFF",
+        "LPVG_DOUBLE": "ON" if real == "double" else "OFF",
+    }
+    defined = [f"-D{name}={value}" for name, value in settings.items()]
     return folder, (
-        failed(
-            variant,
-            "cmake",
-            "-S",
-            tree,
-            "-B",
-            folder,
-            "-G",
-            "Ninja",
-            f"-DCMAKE_C_COMPILER={c}",
-            f"-DCMAKE_CXX_COMPILER={cxx}",
-            f"-DCMAKE_BUILD_TYPE={build_type}",
-            "-DLPVG_BUILD_TESTS=OFF",
-            f"-DLPVG_DOUBLE={'ON' if real == 'double' else 'OFF'}",
-        )
+        failed(variant, "cmake", "-S", tree, "-B", folder, "-G", "Ninja", *defined)
         or failed(variant, "cmake", "--build", folder, "--target", target)
     )
 
@@ -172,24 +166,9 @@ def firmware_warnings(tree: Path, scratch: Path, only: str = "") -> list[str]:
         "#define TARGET_INPUT_SAMPLES 100U\n"
         "static const lpvg_real_t target_input[TARGET_INPUT_SAMPLES][4] = {{1.0F}};\n"
     )
-    includes = [
-        "-I",
-        tree / "lib" / "include",
-        "-I",
-        tree / "lib" / "src",
-        "-I",
-        tree / "lib" / "vehicles" / "truck",
-        "-I",
-        sim / "ecu",
-        "-I",
-        sim / "ports",
-        "-I",
-        sim / "ports" / "ecu_process",
-        "-I",
-        sim / "ports" / "linux",
-        "-I",
-        scratch,
-    ]
+    of_core = [tree / "lib" / folder for folder in ("include", "src", "vehicles/truck")]
+    of_sim = [sim / folder for folder in ("ecu", "ports", "ports/ecu_process", "ports/linux")]
+    includes = [f"-I{folder}" for folder in (*of_core, *of_sim, scratch)]
     jobs = [
         (path, compiler, [])
         for folder in ("ecu", "ports/host", "ports/ecu_process", "ports/linux", "ports/linux_ecu")
@@ -353,22 +332,9 @@ def misra(tree: Path, scratch: Path, only: str = "") -> list[str]:
     unit = scratch / "every_header.c"
     unit.write_text("".join(f'#include "{h}"\n' for h in headers) + "extern int not_empty;\n")
     sources = [path for path in (*sorted(folder.glob("*.c")), unit) if only in ("", path.name)]
-    status, output = run(
-        "cppcheck",
-        "--std=c99",
-        "--platform=unix32",
-        "--enable=style",
-        "--addon=misra",
-        "--inline-suppr",
-        "--quiet",
-        "--suppress=missingIncludeSystem",
-        "--template={file}|{line}|{id}",
-        "-I",
-        include,
-        "-I",
-        folder,
-        *sources,
-    )
+    checks = ("--std=c99", "--platform=unix32", "--enable=style", "--addon=misra")
+    said = ("--quiet", "--inline-suppr", "--suppress=missingIncludeSystem", "--template={file}|{line}|{id}")
+    status, output = run("cppcheck", *checks, *said, "-I", include, "-I", folder, *sources)
     if status:
         return [output]
     rows = re.findall(r"^\| (\d+\.\d+) \| advisory \| (\S+) \|", table.read_text(), re.MULTILINE)

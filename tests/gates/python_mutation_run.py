@@ -75,7 +75,7 @@ MEASURED = {
     "engine/synthesis/varying.py": 346,
     "engine/synthesis/zeros.py": 183,
     "engine/validation/delta.py": 116,
-    "engine/validation/lmi.py": 140,
+    "engine/validation/lmi.py": 136,
     "engine/validation/local_search.py": 504,
     "engine/validation/problem.py": 115,
     "engine/validation/quadratic.py": 419,

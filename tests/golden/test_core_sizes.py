@@ -226,19 +226,7 @@ def test_sizes_beyond_are_refused_by_the_compiler_with_their_name(name, value, m
     # A copy: the compiler looks for headers beside the source first.
     source = tmp_path / "lpvguard_coeff.c"
     source.write_text((folder / source.name).read_text())
-    done = subprocess.run(
-        [
-            *native.find_compiler(cxx=False),
-            "-std=c99",
-            "-fsyntax-only",
-            "-I",
-            library_root() / "include",
-            "-I",
-            tmp_path,
-            source,
-        ],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    include = ["-I", library_root() / "include", "-I", tmp_path]
+    command = [*native.find_compiler(cxx=False), "-std=c99", "-fsyntax-only", *include, source]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode != 0 and message in done.stderr

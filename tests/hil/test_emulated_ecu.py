@@ -5,7 +5,6 @@ frame for frame what the same firmware says as a process of the host. All shippe
 import hashlib
 import json
 import os
-import sys
 
 import pytest
 
@@ -13,7 +12,7 @@ from lpvguard.base.errors import InputError
 from lpvguard.core import targets
 from lpvguard.extras.loop.sim import can_fault_table, load_scenario, shipped_scenarios, steady_scenario
 from parts import require
-from vcan import with_vcan
+from vcan import sim_words, with_vcan
 
 FULL = os.environ.get("LPVGUARD_FULL") == "1"
 R5F = targets.TARGETS["cortex-r5f"]
@@ -35,21 +34,7 @@ def on_vcan(simulator, truck_folder):
     assert simulator.ecu_program.is_file()
 
     def run(scenarios, *options):
-        done = with_vcan(
-            sys.executable,
-            "-m",
-            "lpvguard.cli",
-            "sim",
-            *scenarios,
-            "--coefficients",
-            truck_folder,
-            "--bus",
-            "socketcan:vcan0",
-            *options,
-            "--json",
-            "-",
-            timeout=3000,
-        )
+        done = with_vcan(*sim_words(truck_folder, *scenarios), *options, timeout=3000)
         assert done.returncode in (0, 1) and done.stdout, done.stderr
         return json.loads(done.stdout)
 

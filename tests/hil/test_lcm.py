@@ -25,7 +25,7 @@ from lpvguard.extras.loop.lcm_client import (
 )
 from lpvguard.extras.loop.sim import Simulator, can_fault_table, load_scenario, steady_scenario
 from parts import missing, require
-from vcan import with_vcan
+from vcan import sim_words, with_vcan
 
 pytestmark = pytest.mark.skipif(bool(missing("lcm")), reason=missing("lcm"))
 
@@ -194,20 +194,8 @@ def test_two_processes_on_vcan_recorded_and_replayed_give_the_same_verdicts(
         RECORD_AND_REPLAY,
         "replay",
         tmp_path,
-        sys.executable,
-        "-m",
-        "lpvguard.cli",
-        "sim",
-        scenario.path,
-        "--coefficients",
-        truck_folder,
-        "--bus",
-        "socketcan:vcan0",
-        "--ecu-process",
-        "--pace",
-        2,
-        "--json",
-        "-",
+        *sim_words(truck_folder, scenario.path),
+        *("--ecu-process", "--pace", 2),
     )
     assert done.returncode == 0, done.stderr
     (run,) = json.loads(done.stdout)
@@ -244,23 +232,8 @@ def test_the_emulated_ecu_publishes_what_the_host_does(lcm_simulator, scenario, 
     require("qemu")
     lcm_simulator.emulated("cortex-r5f")
     lcm_simulator.run(scenario, lcm=f"file://{tmp_path / 'host.lcm'}?mode=w")
-    done = with_vcan(
-        sys.executable,
-        "-m",
-        "lpvguard.cli",
-        "sim",
-        scenario.path,
-        "--coefficients",
-        truck_folder,
-        "--bus",
-        "socketcan:vcan0",
-        "--target",
-        "cortex-r5f",
-        "--lcm",
-        f"file://{tmp_path / 'r5f.lcm'}?mode=w",
-        "--json",
-        "-",
-    )
+    lcm = f"file://{tmp_path / 'r5f.lcm'}?mode=w"
+    done = with_vcan(*sim_words(truck_folder, scenario.path), "--target", "cortex-r5f", "--lcm", lcm)
     assert done.returncode in (0, 1) and done.stdout, done.stderr
     host, r5f = heard(tmp_path / "host.lcm"), heard(tmp_path / "r5f.lcm")
     assert len(host["LPVGUARD_MARGINS"]) > 20

@@ -4,7 +4,6 @@ the command."""
 import json
 import re
 import shutil
-import sys
 
 import numpy as np
 import pytest
@@ -24,7 +23,7 @@ from lpvguard.extras.loop.sim import (
     steady_scenario,
 )
 from lpvguard.vehicle.project import load_project
-from vcan import with_vcan
+from vcan import sim_words, with_vcan
 
 SEEDS = (1, 2)
 LOCKED_SPN = 520204
@@ -184,19 +183,7 @@ def test_a_lost_actuator_is_found(simulator, scenario):
 @pytest.mark.serial
 def test_a_real_can_interface_carries_the_same_frames(simulator, truck_folder, scenario):
     fault = scenario(15.0, can_fault("VDC2", "lost"))
-    done = with_vcan(
-        sys.executable,
-        "-m",
-        "lpvguard.cli",
-        "sim",
-        fault.path,
-        "--coefficients",
-        truck_folder,
-        "--json",
-        "-",
-        "--bus",
-        "socketcan:vcan0",
-    )
+    done = with_vcan(*sim_words(truck_folder, fault.path))
     # The scenario expects supervision to stay live, which it must not: a finding.
     assert done.returncode == 1, done.stderr
     assert json.loads(done.stdout)[0]["frames_hash"] == simulator.run(fault)["frames_hash"]

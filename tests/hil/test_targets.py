@@ -188,56 +188,17 @@ def test_two_vehicles_share_an_image(tmp_path):
             if source.suffix == ".cpp"
             else ["arm-none-eabi-gcc", "-std=gnu99"]
         )
-        subprocess.run(
-            [
-                *dialect,
-                *target.cpu,
-                *targets.LANGUAGE,
-                *targets.WARNINGS,
-                "-DOTHER_TASK=lpvg_toy_task",
-                "-I",
-                core / "include",
-                "-I",
-                core / "src",
-                "-I",
-                ports,
-                *(["-I", folder] if folder else []),
-                "-c",
-                source,
-                "-o",
-                objects[-1],
-            ],
-            check=True,
-        )
+        flags = [*target.cpu, *targets.LANGUAGE, *targets.WARNINGS, "-DOTHER_TASK=lpvg_toy_task"]
+        folders = [core / "include", core / "src", ports, *([folder] if folder else [])]
+        flags += [f"-I{path}" for path in folders]
+        subprocess.run([*dialect, *flags, "-c", source, "-o", objects[-1]], check=True)
     elf = tmp_path / "two_vehicles.elf"
-    subprocess.run(
-        [
-            "arm-none-eabi-g++",
-            *target.cpu,
-            "--specs=nano.specs",
-            "-nostartfiles",
-            "-Wl,--gc-sections",
-            "-Wl,--no-warn-rwx-segments",
-            "-T",
-            ports / "cortex_m" / target.linker_script,
-            *objects,
-            "-o",
-            elf,
-        ],
-        check=True,
-    )
+    flags = ["--specs=nano.specs", "-nostartfiles", "-Wl,--gc-sections", "-Wl,--no-warn-rwx-segments"]
+    script = ["-T", ports / "cortex_m" / target.linker_script]
+    subprocess.run(["arm-none-eabi-g++", *target.cpu, *flags, *script, *objects, "-o", elf], check=True)
+    alone = ["-display", "none", "-serial", "none", "-semihosting-config", "enable=on,target=native"]
     done = subprocess.run(
-        [
-            *target.emulator,
-            "-display",
-            "none",
-            "-serial",
-            "none",
-            "-semihosting-config",
-            "enable=on,target=native",
-            "-kernel",
-            elf,
-        ],
+        [*target.emulator, *alone, "-kernel", elf],
         stdin=subprocess.DEVNULL,
         capture_output=True,
         text=True,

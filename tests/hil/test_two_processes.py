@@ -15,7 +15,7 @@ from lpvguard.base import artefacts
 from lpvguard.can.decode import decode_all, own_database
 from lpvguard.can.logs import read_log
 from lpvguard.extras.loop.sim import RECOVERY_S, load_scenario, steady_scenario
-from vcan import with_vcan
+from vcan import sim_words, with_vcan
 
 FULL = os.environ.get("LPVGUARD_FULL") == "1"
 WARM_S = 3.0
@@ -31,40 +31,17 @@ def loop(simulator, truck_folder, tmp_path):
         path.write_text(steady_scenario(duration, more))
         want = simulator.run(load_scenario(str(path)))
         assert simulator.ecu_program.is_file()  # compiled here, and not on the one processor of the guest
-        sim = [
-            "-m",
-            "lpvguard.cli",
-            "sim",
-            path,
-            "--coefficients",
-            truck_folder,
-            "--bus",
-            "socketcan:vcan0",
-            "--ecu-process",
-            "--json",
-            "-",
-            "-o",
-            tmp_path / "out",
-        ]
+        sim = [*sim_words(truck_folder, path), "--ecu-process", "-o", tmp_path / "out"]
         if commands:
             words = [word for c in commands for word in ["--", *c.split()]][1:]
-            sim = [
-                Path(__file__).with_name("on_vcan.py"),
-                sys.executable,
-                *sim,
-                "--pace",
-                1,
-                "--",
-                WARM_S,
-                for_s,
-                *words,
-            ]
-        done = with_vcan(sys.executable, *sim, timeout=900)
+            beside = [sys.executable, Path(__file__).with_name("on_vcan.py")]
+            sim = [*beside, *sim, "--pace", 1, "--", WARM_S, for_s, *words]
+        done = with_vcan(*sim, timeout=900)
         if commands:
             assert done.returncode == 0, done.stderr
-            beside = json.loads(done.stdout)
-            assert isinstance(beside["loop"], list), beside["loop"]
-            return want, beside["loop"][0], beside
+            said = json.loads(done.stdout)
+            assert isinstance(said["loop"], list), said["loop"]
+            return want, said["loop"][0], said
         assert done.returncode in (0, 1) and done.stdout, done.stderr
         return want, json.loads(done.stdout)[0], {}
 

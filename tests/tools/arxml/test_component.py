@@ -145,18 +145,10 @@ def test_signals_have_units_and_ranges_and_results_the_cores_words(model, g80):
 def test_the_source_is_c_without_warnings(files, rte, vehicle):
     source = rte / "strict.c"
     source.write_text(files[f"{NAME}.c"])
-    strict = [
-        "-std=c99",
-        "-Wall",
-        "-Wextra",
-        "-Wconversion",
-        "-Wno-unused-function",
-        "-Werror",
-        "-fsyntax-only",
-    ]
+    strict = ["-std=c99", "-Wall", "-Wextra", "-Wconversion", "-Wno-unused-function", "-Werror"]
     folders = [f"-I{folder}" for folder in (rte, vehicle)]
     command = [*native.find_compiler(cxx=False), *strict, *folders, "-isystem", library_root() / "include"]
-    subprocess.run([*command, source], check=True)
+    subprocess.run([*command, "-fsyntax-only", source], check=True)
 
 
 def test_its_verdicts_are_the_cores_bit_for_bit(component, core, g80, synthetic):

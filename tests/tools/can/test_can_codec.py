@@ -294,26 +294,10 @@ def test_codec_on_a_big_endian_processor(codec, tmp_path):
     )
 
     def output(cc: str, *run: str) -> str:
-        subprocess.run(
-            [
-                cc,
-                "-std=c99",
-                "-O2",
-                "-ffp-contract=off",
-                "-static",
-                "-I",
-                str(ROOT / "lib/include"),
-                "main.c",
-                SOURCE,
-                "-o",
-                Path(cc).name + ".elf",
-            ],
-            cwd=tmp_path,
-            check=True,
-        )
-        return subprocess.run(
-            [*run, str(tmp_path / (Path(cc).name + ".elf"))], capture_output=True, text=True, check=True
-        ).stdout
+        elf, flags = tmp_path / f"{Path(cc).name}.elf", ["-std=c99", "-O2", "-ffp-contract=off", "-static"]
+        include = ["-I", ROOT / "lib/include"]
+        subprocess.run([cc, *flags, *include, "main.c", SOURCE, "-o", elf], cwd=tmp_path, check=True)
+        return subprocess.run([*run, elf], capture_output=True, text=True, check=True).stdout
 
     big, little = output(compiler, emulator), output(shutil.which("cc"))
     assert big == little and len(big) > 100_000

@@ -23,16 +23,7 @@ def test_the_examples_compile_without_a_warning(tmp_path, vehicle, text):
     source.write_text(text, encoding="utf-8")
     root = library_root()
     include = [f"-I{root / 'include'}", f"-I{root / 'vehicles' / vehicle}"]
-    command = [
-        "cc",
-        "-std=c99",
-        "-pedantic",
-        "-Wall",
-        "-Wextra",
-        "-Werror",
-        "-fsyntax-only",
-        *include,
-        source,
-    ]
+    strict = ["-std=c99", "-pedantic", "-Wall", "-Wextra", "-Werror", "-fsyntax-only"]
+    command = ["cc", *strict, *include, source]
     run = subprocess.run(command, capture_output=True, text=True, check=False)
     assert run.returncode == 0, run.stderr

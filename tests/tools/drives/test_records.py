@@ -127,15 +127,7 @@ def test_another_header_is_refused_by_what_is_wrong(record, g80, tmp_path, at, k
 
 def test_replay_reads_a_record(lpvguard, vehicle, record, tmp_path):
     (tmp_path / "rec.lpve").write_bytes(record[1])
-    done = lpvguard(
-        "replay",
-        "--vehicle",
-        "g80",
-        "--coefficients",
-        vehicle,
-        tmp_path / "rec.lpve",
-        "--json",
-        tmp_path / "r",
-    )
+    words = ("replay", "--vehicle", "g80", "--coefficients", vehicle, "--json", tmp_path / "r")
+    done = lpvguard(*words, tmp_path / "rec.lpve")
     assert done.returncode in (0, 1), done.stderr
     assert '"run": "rec"' in (tmp_path / "r").read_text()

@@ -85,6 +85,17 @@ def test_the_best_level_with_matrix_multipliers_is_a_semidefinite_solvers(seed, 
     )
 
 
+@pytest.mark.parametrize("shift", [5.0, 0.0])
+def test_a_level_is_known_to_a_tenth_or_a_billionth_unless_asked_for_more(shift):
+    """Of real forms, too."""
+    q = np.stack([np.diag([1.0, -1.0]), np.diag([-1.0, 1.0])]) + shift * np.eye(2)
+    c = lmi.cone(2 * [("psd", 1)])
+    default, stated = lmi.maximise_level(q, c), lmi.maximise_level(q + 0j, c, relative=0.1, absolute=1e-9)
+    assert (default.x, default.x_above) == (stated.x, stated.x_above)
+    assert default.x <= shift <= default.x_above
+    assert 0 < default.x_above - default.x <= max(1e-9, 0.1 * abs(default.x))
+
+
 def test_the_primal_matrix_is_the_slacks_inverse():
     q = hermitian(np.random.default_rng(2), 3, 5) + np.eye(5)
     c = lmi.maximise_level(q, lmi.cone(3 * [("psd", 1)]), relative=1e-3)
@@ -116,6 +127,7 @@ def test_a_certificate_reaches_to_where_it_stops_being_positive():
     assert lmi.reach(zero, slopes)[0] > reached[0]
     # Never past the end, whatever rounding does: a trillionth is left.
     assert lmi.reach(np.eye(1), np.ones((1, 1, 1)))[0] == 1 - 1e-12
+    assert lmi.reaches(np.eye(1)[None], np.ones((1, 1, 1)), np.zeros(1)).tolist() == [[1 - 1e-12]]
 
 
 def test_many_certificates_reach_as_each_alone():
@@ -282,7 +294,7 @@ def test_a_certificate_has_at_most_64_rows_256_multipliers_and_groups_of_order_8
         (2, 4 * [("psd", 8)], True),
         (65, [("psd", 1)], False),
         (2, [*4 * [("psd", 8)], ("free", 1)], False),
-        (2, [("psd", 9)], False),
+        (2, [("psd", 9), ("psd", 1)], False),
     ):
         c = lmi.cone(groups)
         q0 = hermitian(rng, len(c.normal), n)

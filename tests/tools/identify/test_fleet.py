@@ -277,12 +277,12 @@ def test_replay_and_evaluate_share_drives(lpvguard, vehicle, identified, synthet
         "evaluate",
         "--vehicle",
         once,
-        identified,
-        synthetic,
         "--coefficients",
         vehicle,
         "--json",
         "-",
+        identified,
+        synthetic,
     )
     alone, shared = lpvguard(*evaluate), lpvguard(*evaluate, "--jobs", 2)
     assert alone.returncode == shared.returncode == 0, shared.stderr

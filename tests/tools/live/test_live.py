@@ -4,7 +4,6 @@ a source or a browser that goes away stops nothing."""
 import json
 import os
 import re
-import subprocess
 import time
 import urllib.error
 import urllib.request
@@ -28,7 +27,7 @@ from lpvguard.extras.loop.sim import Simulator, load_scenario, steady_scenario
 from lpvguard.replay.replayer import Replayer, bus_frames
 from lpvguard.vehicle.nominal import RunningModel
 from lpvguard.vehicle.project import load_project
-from parts import require
+from parts import chromium, require
 
 
 def column(watch: Watch, name: str) -> np.ndarray:
@@ -208,25 +207,8 @@ def test_a_browser_draws_every_picture_and_complains_of_nothing(replayer, faulty
     source = Given(cut(faulty[0], 500))
     with served(Watch(replayer, source, 3600)) as url:
         assert source.taken.wait(60)
-        done = subprocess.run(
-            [
-                "chromium",
-                "--headless=new",
-                "--no-sandbox",
-                "--disable-gpu",
-                "--disable-dev-shm-usage",
-                f"--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE {LOOPBACK}",
-                f"--user-data-dir={tmp_path / 'profile'}",
-                f"--window-size={width},1000",
-                "--virtual-time-budget=6000",
-                "--enable-logging=stderr",
-                "--dump-dom",
-                url,
-            ],
-            capture_output=True,
-            text=True,
-            check=True,
-        )
+        options = (f"--window-size={width},1000", "--virtual-time-budget=6000", "--enable-logging=stderr")
+        done = chromium(tmp_path, url, *options, "--dump-dom", host=LOOPBACK)
     complaints = [line for line in done.stderr.splitlines() if "CONSOLE" in line]
     # The browser's own notice that a picture fitted itself in two steps.
     harmless = ("setting log level", "ResizeObserver loop completed")

@@ -140,17 +140,8 @@ def test_replay_json_has_every_field_and_exit_status_says_what_was_found(
         header="t,v,delta,r",
         comments="",
     )
-    done = lpvguard(
-        "replay",
-        "--vehicle",
-        "g80",
-        "--coefficients",
-        vehicle,
-        synthetic / "synthetic_08.csv",
-        path,
-        "--json",
-        "-",
-    )
+    words = ("replay", "--vehicle", "g80", "--coefficients", vehicle, "--json", "-")
+    done = lpvguard(*words, synthetic / "synthetic_08.csv", path)
     assert done.returncode == 1, done.stderr
     sound, alarmed = json.loads(done.stdout)
     assert sound.keys() >= FIELDS and sound["alarms"] == [] and sound["first_invalid_s"] is None

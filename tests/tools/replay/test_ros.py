@@ -105,16 +105,6 @@ def test_ackermann_messages_have_their_five_fields(recorded):
 
 def test_the_command_writes_a_file_a_drive(lpvguard, vehicle, synthetic, tmp_path):
     drive = synthetic / "synthetic_01.csv"
-    done = lpvguard(
-        "replay",
-        "--vehicle",
-        "g80",
-        drive,
-        "--coefficients",
-        vehicle,
-        "--table",
-        tmp_path / "t",
-        "--as",
-        "ros2",
-    )
+    words = ("replay", "--vehicle", "g80", "--coefficients", vehicle, "--table", tmp_path / "t")
+    done = lpvguard(*words, "--as", "ros2", drive)
     assert done.returncode in (0, 1) and "/diagnostics" in read(tmp_path / "t/synthetic_01.mcap")

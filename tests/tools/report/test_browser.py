@@ -5,14 +5,13 @@ with LPVGUARD_FULL=1."""
 import json
 import os
 import re
-import subprocess
 from html import unescape
 from pathlib import Path
 
 import pytest
 from report_case import DRIVES
 
-from parts import require
+from parts import chromium, require
 
 FULL = os.environ.get("LPVGUARD_FULL") == "1"
 EARLY = """<script>
@@ -95,35 +94,14 @@ addEventListener("load", async () => {
 </script>"""
 
 
-def chromium(folder: Path, page: Path, *options: str) -> str:
-    """What headless Chromium prints when it opens the page; no other host can be found."""
-    done = subprocess.run(
-        [
-            "chromium",
-            "--headless=new",
-            "--no-sandbox",
-            "--disable-gpu",
-            "--disable-dev-shm-usage",
-            "--host-resolver-rules=MAP * ~NOTFOUND",
-            f"--user-data-dir={folder / 'profile'}",
-            *options,
-            page.as_uri(),
-        ],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr
-    return done.stdout
-
-
 def opened(folder: Path, page: str, width: int, zooms: bool) -> dict:
     """What the page says of itself at this width [px], with everything in it used once; pictures are zoomed
     where ``zooms`` says so."""
     path = folder / "page.html"
     early = f"<script>window.zooms = {json.dumps(zooms)};</script>{EARLY}"
     path.write_text(page.replace("<style>", early + "<style>", 1).replace("</body>", LATE + "</body>"))
-    dom = chromium(folder, path, f"--window-size={width},800", "--virtual-time-budget=120000", "--dump-dom")
+    options = (f"--window-size={width},800", "--virtual-time-budget=120000", "--dump-dom")
+    dom = chromium(folder, path.as_uri(), *options).stdout
     match = re.search(r'<pre id="told">(.*?)</pre>', dom, re.DOTALL)
     assert match, "the page did not finish"
     return json.loads(unescape(match.group(1)))
@@ -166,6 +144,6 @@ def test_the_browser_test_finds_errors_requests_and_overlaps(page, tmp_path):
 def test_the_page_prints(page, tmp_path):
     require("chromium")
     (tmp_path / "page.html").write_text(page)
-    chromium(tmp_path, tmp_path / "page.html", f"--print-to-pdf={tmp_path / 'page.pdf'}")
+    chromium(tmp_path, (tmp_path / "page.html").as_uri(), f"--print-to-pdf={tmp_path / 'page.pdf'}")
     printed = (tmp_path / "page.pdf").read_bytes()
     assert printed.startswith(b"%PDF") and len(printed) > 50e3

@@ -114,7 +114,7 @@ def maximise_level(q: np.ndarray, c: Cone, *, relative: float = 0.1, absolute: f
     """
     m, n = q.shape[:2]
     q = np.ascontiguousarray(q, dtype=complex)
-    y, above, inverse = np.empty(m), np.empty(1), np.empty((n, n), dtype=complex)
+    y, above, inverse = np.empty(m), ctypes.c_double(), np.empty((n, n), dtype=complex)
     search = _compiled(n, c).lpvg_level
     search.restype = ctypes.c_double
     x = search(
@@ -124,9 +124,11 @@ def maximise_level(q: np.ndarray, c: Cone, *, relative: float = 0.1, absolute: f
         *map(native.pointer, (*_groups(c), q)),
         ctypes.c_double(relative),
         ctypes.c_double(absolute),
-        *map(native.pointer, (y, above, inverse)),
+        native.pointer(y),
+        ctypes.byref(above),
+        native.pointer(inverse),
     )
-    return Centre(y, x, float(above[0]), inverse)
+    return Centre(y, x, above.value, inverse)
 
 
 def rounding(y: np.ndarray, forms: np.ndarray) -> float:
