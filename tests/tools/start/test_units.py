@@ -104,7 +104,7 @@ def test_a_measured_minute_in_five_systems_of_units_is_read_right_or_asked_about
     series = read_log(log).series
     values = {"speed": "v", "steering": "sw_angle", "yaw_rate": "r_can"}
     t = (series["v"].t_ns - series["v"].t_ns[0]) / 1e9
-    minute = [Recording("minute", t, {name: series[of].value for name, of in values.items()}, {})]
+    minute = [Recording("minute", t, {name: series[column].value for name, column in values.items()}, {})]
     systems = [("m/s", "rad", "rad/s"), ("m/s", "deg", "deg/s"), ("km/h", "deg", "deg/s")]
     systems += [("mph", "deg", "deg/s"), ("km/h", "rad", "rad/s")]
     said = [outcome(in_units(minute, units, 1.0), units, 16.9, Known("car", 2.66)) for units in systems]
