@@ -99,4 +99,6 @@ def test_samples_that_stand_alone_are_left_out_and_named(tmp_path):
     assert term["left_out"] == {"stand alone": 60}
     read = np.loadtxt(tmp_path / "out" / "log.csv", delimiter=",", skiprows=1)[:, 1]
     assert np.abs(read - r).max() < 0.02
+    absent = np.where((t > 20) & (t < 20.3), -999.0, r)
+    assert standing_alone(absent).sum() == 14
     assert not standing_alone(np.round(r, 2)).any() and not standing_alone(np.zeros(50)).any()

@@ -115,7 +115,7 @@ def test_a_share_of_full_lock_is_taken_for_no_angle_and_miles_an_hour(tmp_path):
     with pytest.raises(InputError, match=r"2 readings fit: .* as a share of .* --input-unit '0\.4\d rad'"):
         new("mine", logs, tmp_path / "out", wheelbase_m=2.8)
     logs = write_logs(tmp_path, ("time", "speed_mps", "steering", "yaw_rate"), (1.0, 1 / 0.45, 1.0))
-    with pytest.raises(InputError, match="no more readings fit: .* as a share of full lock"):
+    with pytest.raises(InputError, match=r"no more readings fit: .* as a share of full lock"):
         new("mine", logs, tmp_path / "out", wheelbase_m=2.8)
     made = new("mine", logs, tmp_path / "out", wheelbase_m=2.8, units={"input": "0.45 rad"})
     assert [p.unit for p in made.proposals.values()] == ["m/s", "0.45 rad", "rad/s"]

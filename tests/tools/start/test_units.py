@@ -1,19 +1,24 @@
 """Units by evidence: cars whose units are known are read right, or the user is asked. Counted."""
 
+import os
 from collections import Counter
 from itertools import product
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from known_car import KnownCar
 from lpvguard.base.errors import InputError
+from lpvguard.can.logs import read_log
 from lpvguard.drives.unit_names import units_in_name
 from lpvguard.drives.units import unit_factor
 from lpvguard.start.readings import ROLES, Known
 from lpvguard.start.signals import GUESSED_UNITS, Recording, proposed
 from lpvguard.vehicle.physics import kind_of
+from made import ROOT
 
+DATA = Path(os.environ.get("LPVGUARD_DATA", ROOT.parent / "shared/data"))
 SI = {"speed": "m/s", "input": "rad", "output": "rad/s"}
 CARS = {
     "small": (KnownCar(2.4, 0.0012, 0.005, 0.04, 0.001, 0.0), 14.0),
@@ -89,6 +94,21 @@ def test_288_logs_of_known_units_are_read_right_or_asked(capsys):
     with capsys.disabled():
         print("\nof 288 logs:", ", ".join(f"{n} {what}" for what, n in sorted(counts.items())))
     assert set(counts) == {"right", "asked"} and counts.total() == 288
+
+
+@pytest.mark.slow("6 s: five fits")
+def test_a_measured_minute_in_five_systems_of_units_is_read_right_or_asked_about():
+    log = DATA / "comma2k19_rav4" / "rav4_100hz.csv"
+    if not log.is_file():
+        pytest.skip(f"no measured drive: {log}")
+    series = read_log(log).series
+    values = {"speed": "v", "steering": "sw_angle", "yaw_rate": "r_can"}
+    t = (series["v"].t_ns - series["v"].t_ns[0]) / 1e9
+    minute = [Recording("minute", t, {name: series[column].value for name, column in values.items()}, {})]
+    systems = [("m/s", "rad", "rad/s"), ("m/s", "deg", "deg/s"), ("km/h", "deg", "deg/s")]
+    systems += [("mph", "deg", "deg/s"), ("km/h", "rad", "rad/s")]
+    said = [outcome(in_units(minute, units, 1.0), units, 16.9, Known("car", 2.66)) for units in systems]
+    assert set(said) <= {"right", "asked"}, said
 
 
 def test_going_backwards_with_a_speed_without_sign_turns_no_sign():

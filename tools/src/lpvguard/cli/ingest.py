@@ -19,7 +19,9 @@ if TYPE_CHECKING:
 def ingest(
     logs: Annotated[
         list[Path],
-        typer.Argument(help="candump (-l, -L, -t, .gz), ASC, BLF, TRC, MF4, CSV, Parquet; folders."),
+        typer.Argument(
+            help="candump, ASC, BLF, TRC, MF4, CSV, VBOX, JSON, Parquet; folders; text also packed."
+        ),
     ],
     out: Out,
     dbc: Annotated[

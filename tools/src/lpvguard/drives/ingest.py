@@ -1,6 +1,6 @@
 """Stage 0: turn raw logs into uniform drive tables, with a report of what was left out and why.
 
-Reads   logs: candump, ASC, BLF, TRC, MF4, CSV, Parquet (can/logs.py)
+Reads   logs: candump, ASC, BLF, TRC, MF4, CSV, VBOX, JSON, Parquet (can/logs.py)
         a CAN database
         a signal map (signal_map.py)
 Writes  into the folder <out>

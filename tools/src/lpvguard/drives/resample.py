@@ -25,6 +25,8 @@ _LISTED = 50
 ALONE, OF_RANGE = 20.0, 0.25
 """A sample stands alone if it is off both its neighbours by more than so many usual steps of the signal, and
 than this share of the range in which it is at four of five samples."""
+OF_OTHERS = 3.0
+"""A repeated value means none if it is off all others by more than so many of their ranges."""
 FEW_STEPS = 10
 """So few steps say nothing of a signal's usual ones."""
 
@@ -195,6 +197,8 @@ def within_limits(column: Column, terms: list[Source]) -> None:
 def standing_alone(value: np.ndarray) -> np.ndarray:
     """Find samples that stand alone, as a lost frame's or a wrong bit's do: far off both neighbours.
 
+    A repeated value far off all others stands alone, too, as -999 for none.
+
     Parameters
     ----------
     value : ndarray (N,), finite
@@ -203,15 +207,26 @@ def standing_alone(value: np.ndarray) -> np.ndarray:
     -------
     ndarray (N,) of bool
     """
-    alone, step = np.zeros(len(value), bool), np.diff(value)
+    alone, step = _marks(value), np.diff(value)
     moved = np.abs(step[step != 0])
     if len(moved) >= FEW_STEPS:
         away, back = step[:-1], -step[1:]
         least = np.minimum(np.abs(away), np.abs(back))
         usual = OF_RANGE * float(np.subtract(*np.quantile(value, (0.9, 0.1))))
         off = (away * back > 0) & (least > max(ALONE * float(np.median(moved)), usual))
-        alone[1:-1] = off & (np.abs(value[2:] - value[:-2]) < 0.5 * least)
+        alone[1:-1] |= off & (np.abs(value[2:] - value[:-2]) < 0.5 * least)
     return alone
+
+
+def _marks(value: np.ndarray) -> np.ndarray:
+    """True (N,) at the least or largest value where it is repeated and far off all others."""
+    marked = np.zeros(len(value), bool)
+    for extreme in (value.min(), value.max()) if len(value) else ():
+        is_it = value == extreme
+        others, many = value[~is_it], int(is_it.sum())
+        if 1 < many < len(others) and np.ptp(others) > 0:
+            marked |= is_it & (np.abs(others - extreme).min() > OF_OTHERS * np.ptp(others))
+    return marked
 
 
 def without_lone(column: str, source: Source) -> None:
