@@ -38,8 +38,8 @@ def confirmed(scores: np.ndarray, k: int, m: int) -> np.ndarray:
 
 def least_found(noise: np.ndarray, threshold: float, k: int, m: int) -> float:
     """Size that FOUND of the drives find with their first frames of a fault, whose noise is (drives, n)."""
-    found = confirmed(noise, k, m).max(axis=1)
-    return threshold - float(np.quantile(found, 1 - FOUND, method="lower"))
+    largest = confirmed(noise, k, m).max(axis=1)
+    return threshold - float(np.quantile(largest, 1 - FOUND, method="lower"))
 
 
 def _scores(family: str, seed: list[int], recordings: int) -> np.ndarray:
