@@ -48,6 +48,7 @@ ABOUT: dict[str, tuple[str, ...]] = {
     "coefficient_checks.hpp": ("test_coeff_",),
     "control_checks.hpp": ("test_controller_",),
     "diagnosis_checks.hpp": ("test_diagnosis_",),
+    "isolation_checks.hpp": ("test_isolation_",),
 }
 """File -> how the names of its own programs begin: they are asked first, and they alone about long cases.
 Else test_ and the file's name."""

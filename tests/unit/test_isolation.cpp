@@ -47,10 +47,15 @@ struct Fault {
 
 class Vehicle {
 public:
-    explicit Vehicle(const std::function<void(lpvg_isolation_table_t&)>& change = [](lpvg_isolation_table_t&) {}, double threshold = 1e6) {
+    explicit Vehicle(
+        const std::function<void(lpvg_isolation_table_t&)>& change = [](lpvg_isolation_table_t&) {}, double threshold = 1e6,
+        bool certified = false) {
         coeff_ = lpvg_coeff;
         coeff_.reals.threshold = static_cast<Real>(threshold);
         coeff_.reals.energy_threshold = coeff_.reals.energy_certificate = coeff_.reals.change_threshold = Real(1e6);
+        for (std::size_t b = 0; certified && b < LPVG_NBINS; ++b) {  // nothing refutes a certificate of so much
+            std::fill(coeff_.reals.W_certificate[b], coeff_.reals.W_certificate[b] + LPVG_NDELTA, Real(100));
+        }
         coeff_.words.crc32 = lpvg_coeff_crc32(&coeff_);
         REQUIRE(lpvg_monitor_init(&monitor, &coeff_) == lpvg_status_ok);
         rms_ = rms();
@@ -81,6 +86,18 @@ public:
         for (auto left = static_cast<uint32_t>(std::lround(seconds / period_s())); left > 0U; --left) {
             step();
         }
+    }
+    // An index of the model's entries has flipped.
+    void flip() { coeff_.words.varying_entry[0] = LPVG_NENTRIES; }
+    // Until the verdict alarms, which output 0 gives cause for after 4 s; the time of that sample.
+    int64_t alarmed() {
+        run(4.0);
+        fault.gain[0] = 1.0;
+        for (uint32_t k = 0; !isolation.alarming; ++k) {
+            REQUIRE(k < 20000U);
+            step();
+        }
+        return sample.t_us;
     }
     // Until another window has been judged.
     const lpvg_parts_t& judged() {
@@ -319,14 +336,10 @@ TEST_CASE("no single part explains two large faults", "[REQ-ISO-1]") {
 }
 
 TEST_CASE("an alarm ends a window and begins another one, in which less evidence will do", "[REQ-ISO-2]") {
-    Vehicle vehicle([](lpvg_isolation_table_t& t) { t.reals.least = Real(1e30); }, 1.5);
-    vehicle.run(4.0);
-    vehicle.fault.gain[0] = 1.0;
-    for (uint32_t k = 0; !vehicle.isolation.alarming; ++k) {
-        REQUIRE(k < 20000U);
-        vehicle.step();
-    }
-    const int64_t alarm_us = vehicle.sample.t_us;
+    const bool certified = GENERATE(false, true);
+    Vehicle vehicle([](lpvg_isolation_table_t& t) { t.reals.least = Real(1e30); }, 1.5, certified);
+    const int64_t alarm_us = vehicle.alarmed();
+    CHECK((!certified || lpvg_monitor_verdict(&vehicle.monitor, alarm_us) == lpvg_verdict_degraded));
     const uint32_t windows = vehicle.isolation.windows;
     const bool is_long = 2 * (alarm_us - vehicle.isolation.from_us) > 1000000 * static_cast<int64_t>(window_s);
     const lpvg_parts_t* found = &vehicle.judged();
@@ -342,15 +355,94 @@ TEST_CASE("an alarm ends a window and begins another one, in which less evidence
     CHECK(found->likeliest == 0U);
 }
 
-TEST_CASE("a window shorter than half of the usual one is not judged", "[REQ-ISO-2]") {
-    Vehicle vehicle([](lpvg_isolation_table_t& t) { t.words.window_us = 600000000U; }, 1.5);
-    vehicle.run(4.0);
-    vehicle.fault.gain[0] = 1.0;
-    for (uint32_t k = 0; !vehicle.isolation.alarming; ++k) {
-        REQUIRE(k < 20000U);
+TEST_CASE("an alarm just after a window's end begins the next one", "[REQ-ISO-2]") {
+    const int64_t alarm_us = Vehicle([](lpvg_isolation_table_t&) {}, 1.5).alarmed();
+    Vehicle vehicle([alarm_us](lpvg_isolation_table_t& t) { t.words.window_us = static_cast<uint32_t>(alarm_us - 60000); }, 1.5);
+    CHECK(vehicle.alarmed() == alarm_us);
+    CHECK(vehicle.isolation.closing);
+    CHECK(vehicle.judged().until_us == alarm_us - 60000);
+    CHECK(!vehicle.isolation.found.alarmed);
+    CHECK(vehicle.isolation.from_us == alarm_us);
+    CHECK(vehicle.isolation.alarmed);
+    // While the window before is judged, too.
+    Vehicle slow([alarm_us](lpvg_isolation_table_t& t) { t.words.window_us = static_cast<uint32_t>(alarm_us - 400000); }, 1.5);
+    slow.run(4.0);
+    slow.fault.gain[0] = 1.0;
+    while (!slow.isolation.judging) {
+        slow.step(false);
+        (void)lpvg_isolation_work(&slow.isolation, &slow.monitor);
+    }
+    while (!slow.isolation.alarming) {
+        slow.step(false);
+    }
+    CHECK(slow.isolation.judging);
+    CHECK(slow.judged().until_us == alarm_us - 400000);
+    CHECK(slow.isolation.from_us == alarm_us);
+    CHECK(slow.isolation.alarmed);
+}
+
+TEST_CASE("few parts have no two others, and a window without blocks does not differ", "[REQ-ISO-1]") {
+    Vehicle vehicle([](lpvg_isolation_table_t& t) {
+        t.words.parts = 2U;
+        for (uint32_t& part : t.words.part) {
+            part = std::min(part, 1U);
+        }
+    });
+    vehicle.fault.bias[0] = 0.3 * vehicle.rms_of(0);
+    CHECK(vehicle.judged().likeliest == 0U);
+    vehicle.measured_speed = 0.95 * static_cast<double>(coeff().speed_min);
+    vehicle.judged();
+    CHECK(!vehicle.judged().differs);
+    CHECK(vehicle.isolation.found.parts == 0U);
+}
+
+TEST_CASE("parts are named until they are sure together", "[REQ-ISO-1]") {
+    Vehicle vehicle([](lpvg_isolation_table_t& t) {
+        t.reals.least = Real(0);
+        t.reals.scale = Real(50);
+    });
+    vehicle.fault.bias[0] = 0.02 * vehicle.rms_of(0);
+    vehicle.judged();
+    const uint32_t parts = vehicle.judged().parts;
+    CHECK((parts & 1U) == 1U);
+    CHECK(parts != 1U);
+}
+
+TEST_CASE("work that waits over a window's end judges what was added before", "[REQ-ISO-3]") {
+    Vehicle vehicle;
+    while (!vehicle.isolation.closing) {
         vehicle.step();
     }
-    const int64_t alarm_us = vehicle.sample.t_us;
+    const uint32_t count = vehicle.isolation.count;
+    for (uint32_t k = 0; k < 8U * half + 1U; ++k) {
+        vehicle.step(false);
+    }
+    CHECK(vehicle.isolation.count == count);
+    CHECK(vehicle.isolation.windows == 0U);
+    CHECK(!vehicle.judged().differs);
+    // A block ends while a window is judged, and is added after it.
+    while (!vehicle.isolation.closing) {
+        vehicle.step();
+    }
+    while (!vehicle.isolation.judging) {
+        vehicle.step(false);
+        REQUIRE(lpvg_isolation_take(&vehicle.isolation, &vehicle.monitor, &vehicle.sample) == lpvg_status_ok);
+        const bool more = lpvg_isolation_work(&vehicle.isolation, &vehicle.monitor);
+        CHECK(more == vehicle.isolation.judging);
+    }
+    while (!vehicle.isolation.pending) {
+        vehicle.step(false);
+    }
+    const uint32_t windows = vehicle.isolation.windows;
+    while (vehicle.isolation.windows == windows) {
+        CHECK(lpvg_isolation_work(&vehicle.isolation, &vehicle.monitor));
+    }
+    CHECK(!lpvg_isolation_work(&vehicle.isolation, &vehicle.monitor));
+}
+
+TEST_CASE("a window shorter than half of the usual one is not judged", "[REQ-ISO-2]") {
+    Vehicle vehicle([](lpvg_isolation_table_t& t) { t.words.window_us = 600000000U; }, 1.5);
+    const int64_t alarm_us = vehicle.alarmed();
     vehicle.run(2.0);
     CHECK(vehicle.isolation.windows == 0U);
     CHECK(vehicle.isolation.from_us == alarm_us);
@@ -385,6 +477,16 @@ TEST_CASE("a gap just after a window's end judges what the window has", "[REQ-IS
     CHECK(vehicle.isolation.windows == 1U);
     CHECK(!vehicle.isolation.found.differs);
     CHECK(vehicle.isolation.found.until_us == 1000000 * static_cast<int64_t>(window_s));
+    // Another one while a window is judged does not judge it twice.
+    while (!vehicle.isolation.judging) {
+        vehicle.step(false);
+        (void)lpvg_isolation_work(&vehicle.isolation, &vehicle.monitor);
+    }
+    const uint32_t step = vehicle.isolation.step;
+    vehicle.t_us += 1000000;
+    vehicle.step(false);
+    CHECK(vehicle.isolation.step == step);
+    CHECK(vehicle.judged().until_us == 2000000 * static_cast<int64_t>(window_s));
 }
 
 TEST_CASE("blocks out of the speed's range, refused samples and repeated ones do not count", "[REQ-ISO-3]") {
@@ -402,6 +504,20 @@ TEST_CASE("blocks out of the speed's range, refused samples and repeated ones do
     vehicle.run(0.5);
     CHECK(vehicle.isolation.count <= count + 4U);
     CHECK(!vehicle.isolation.good);
+    const uint32_t before = vehicle.isolation.in_half;
+    vehicle.sample.t_us -= 1;
+    CHECK(lpvg_monitor_push(&vehicle.monitor, &vehicle.sample) == lpvg_status_out_of_order);
+    REQUIRE(lpvg_isolation_take(&vehicle.isolation, &vehicle.monitor, &vehicle.sample) == lpvg_status_ok);
+    CHECK(vehicle.isolation.in_half == before);
+    // A monitor that repaired itself began anew, as often as before or not.
+    vehicle.monitor.newest = 1000U;
+    vehicle.next();
+    CHECK(lpvg_monitor_push(&vehicle.monitor, &vehicle.sample) == lpvg_status_bad_sample);
+    vehicle.isolation.restarts = 1U;
+    vehicle.step();
+    CHECK(vehicle.monitor.restarts == 1U);
+    CHECK(vehicle.isolation.halves == 0U);
+    CHECK(vehicle.isolation.in_half == 1U);
 }
 
 TEST_CASE("a block that is not worked on in time is lost, and those after it begin a stretch", "[REQ-ISO-3]") {
@@ -424,6 +540,14 @@ TEST_CASE("a flipped sum empties the window", "[REQ-ISO-4]") {
     vehicle.isolation.gram[5] = Real(1e20);
     const lpvg_parts_t& found = vehicle.judged();
     CHECK(!found.differs);
+}
+
+TEST_CASE("a flipped index of the model's entries leads nowhere else", "[REQ-ISO-4]") {
+    Vehicle vehicle;
+    vehicle.flip();
+    vehicle.run(2.0);
+    CHECK(vehicle.isolation.halves > 2U);
+    CHECK(vehicle.isolation.table == &vehicle.table);
 }
 
 TEST_CASE("sums that are not finite name nothing and end", "[REQ-ISO-4]") {
@@ -466,6 +590,13 @@ TEST_CASE("a table that is foreign, damaged, not finite or not allowed is refuse
     CHECK(status([](Table& t) { t.reals.scale = Real(0.5); }) == lpvg_status_bad_value);
     CHECK(status([](Table& t) { t.reals.spread[m - 1U] = Real(-1); }) == lpvg_status_bad_value);
     CHECK(status([](Table& t) { t.reals.fault[0] = Real(-1); }) == lpvg_status_bad_value);
+    CHECK(status([](Table& t) { t.words.sample_period_us = 0U; }) == lpvg_status_bad_value);
+    CHECK(status([](Table& t) { t.words.window_us = 600000001U; }) == lpvg_status_bad_value);
+    CHECK(status([](Table& t) { t.words.half = 65537U; }) == lpvg_status_bad_value);
+    CHECK(status([](Table& t) { t.words.parts = 0U; }) == lpvg_status_bad_value);
+    CHECK(status([](Table& t) { t.reals.period_s = Real(0); }) == lpvg_status_bad_value);
+    CHECK(status([](Table& t) { t.reals.least = Real(-1); }) == lpvg_status_bad_value);
+    CHECK(status([](Table& t) { t.reals.lack = Real(-1); }) == lpvg_status_bad_value);
 }
 
 TEST_CASE("NULL and missing init have defined answers", "[REQ-ISO-4]") {

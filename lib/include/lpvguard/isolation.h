@@ -1,8 +1,8 @@
 /// @file isolation.h -- isolation: which part of a vehicle with redundant outputs differs?
 ///
-/// Each part changes the errors e = y - yhat of all outputs in its own way: a sensor's gain, delay and bias, the factor of the speed,
-/// parameters that tyres and load change. A unit size of each gives a column of changes. The columns are simulated along the drive,
-/// averaged over blocks of two halves and whitened. Sums over a window then give the likelihood of each part (THEORY 7.21).
+/// Each part changes the errors e = y - yhat of all outputs in its own way. It may be a sensor's gain, delay and bias, the factor of the
+/// speed, or parameters that tyres and load change. A unit size of each gives a column of changes. The columns are simulated along the
+/// drive, averaged over blocks of two halves and whitened. Sums over a window then give the likelihood of each part (THEORY 7.21).
 ///
 /// A window lasts `window_us`. An alarm, the verdict that becomes invalid or degraded, ends it and begins another one. A window names
 /// the parts that explain it, or none where no single part does. `replay` names the same parts.
@@ -12,7 +12,7 @@
 ///          The monitor does not depend on the isolation.
 /// Cost:    take steps 2 LPVG_NU + 2 models. work is constant: one call adds a block, or judges one hypothesis. No heap, no locks, no I/O.
 /// Threads: one object per thread. take and work must not interrupt each other.
-/// RAM:     sizeof(lpvg_isolation_t), and as much stack as `gram`. Fields are private, except `found` and `windows`.
+/// RAM:     sizeof(lpvg_isolation_t). The stack of work holds a second `gram`. Fields are private, except `found` and `windows`.
 #ifndef LPVGUARD_ISOLATION_H
 #define LPVGUARD_ISOLATION_H
 
@@ -105,7 +105,7 @@ typedef struct lpvg_isolation_t {
     const lpvg_isolation_table_t* table;
     lpvg_parts_t found;  ///< by the newest judged window
     uint32_t windows;    ///< number of judged windows
-    /// Of inputs that are 1, then of inputs beside the first one alone, at another speed, and with other parameters.
+    /// Responses to inputs of 1, to single inputs beside the first one, at another speed, and with other parameters.
     lpvg_response_t response[LPVG_ISOLATION_RESPONSES];
     lpvg_real_t half[LPVG_ISOLATION_HALVES][LPVG_NU][LPVG_NY];  ///< means of yhat and of the response to inputs alone, a ring [output unit]
     lpvg_real_t block[LPVG_ISOLATION_BLOCKS][LPVG_NU + 4][LPVG_NY];  ///< means of e, and of the other responses, a ring [output unit]
@@ -126,7 +126,7 @@ typedef struct lpvg_isolation_t {
     uint32_t step;  ///< hypothesis that is judged next
     uint32_t sum;  ///< check sum of `gram`
     bool running, alarming, good;  ///< a window is open; the verdict alarms; all samples of the newest block so far are good
-    bool alarmed, next_alarmed, closing;  ///< an alarm began the window, the next one; the window's end is known
+    bool alarmed, next_alarmed, closing;  ///< an alarm began the window, the next one; the window's end is known, until it is judged
     bool pending, judging;  ///< a block waits; the window is being judged
 } lpvg_isolation_t;
 

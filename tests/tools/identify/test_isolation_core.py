@@ -78,18 +78,18 @@ def compared(isolation: Isolation, core: Core, drive: Drive) -> int:
     begin = (drive.t[alarms_begin(run.verdict)[0]] - drive.t[0]).tolist()
     end = drive.duration_s - (CHANGES.ahead + CHANGES.step) * PROJECT.Ts_s
     expected = [n for n in namer.named(drive, begin) if n.until_s < end]
-    found = [i for i in range(len(run.parts.until_s)) if run.parts.differs[i]]
-    assert [words(isolation, run.parts, i) for i in found] == [
+    differing = [i for i in range(len(run.parts.until_s)) if run.parts.differs[i]]
+    assert [words(isolation, run.parts, i) for i in differing] == [
         (round(n.from_s, 6), round(n.until_s, 6), n.alarm_s is not None, set(n.parts)) for n in expected
     ]
-    for i, n in zip(found, expected, strict=True):
+    for i, n in zip(differing, expected, strict=True):
         if n.parts:
             assert isolation.parts[run.parts.likeliest[i]] == n.parts[0]
             assert size_names(isolation)[run.parts.size[i]] == n.what
             width = n.high - n.low
             for ours, theirs in ((run.parts.value[i], n.value), (run.parts.low[i], n.low)):
                 assert ours == pytest.approx(theirs, abs=0.02 * width)
-    return len(found)
+    return len(differing)
 
 
 @pytest.mark.parametrize("double", [False, True])

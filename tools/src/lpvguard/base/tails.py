@@ -68,7 +68,16 @@ class Peaks:
 
 
 def separate(blocks: Sequence[float]) -> list[float]:
-    """Largest of the ``blocks``, then the largest of those that do not adjoin it, and so on; none of 0."""
+    """Take the largest of blocks, then the largest of those that do not adjoin it, and so on; none of 0.
+
+    Parameters
+    ----------
+    blocks : Sequence of float, maxima of successive blocks
+
+    Returns
+    -------
+    list of float, falling
+    """
     left, maxima = np.array(blocks, float), []
     while len(left) and (k := int(left.argmax())) >= 0 and left[k] > 0:
         maxima.append(float(left[k]))

@@ -27,32 +27,32 @@ RATES_PER_1000_H = (10.0, 1.0, 0.1)
 BLOCKS = round(BLOCKS_PER_H * RECORDING_H)
 
 
-def _exponential(random: np.random.Generator, recordings: int) -> np.ndarray:
-    return random.exponential(size=(recordings, BLOCKS))
+def _exponential(random: np.random.Generator, recordings: int, n: int) -> np.ndarray:
+    return random.exponential(size=(recordings, n))
 
 
-def _pareto(shape: float, random: np.random.Generator, recordings: int) -> np.ndarray:
-    return np.expm1(shape * random.exponential(size=(recordings, BLOCKS))) / shape
+def _pareto(shape: float, random: np.random.Generator, recordings: int, n: int) -> np.ndarray:
+    return np.expm1(shape * random.exponential(size=(recordings, n))) / shape
 
 
-def _differing(random: np.random.Generator, recordings: int) -> np.ndarray:
+def _differing(random: np.random.Generator, recordings: int, n: int) -> np.ndarray:
     scale = 1 / (SHAPE * random.gamma(1 / SHAPE, size=(recordings, 1)))
-    return scale * random.exponential(size=(recordings, BLOCKS))
+    return scale * random.exponential(size=(recordings, n))
 
 
-def _clusters(random: np.random.Generator, recordings: int) -> np.ndarray:
-    x = random.exponential(size=(recordings, BLOCKS + 1))
+def _clusters(random: np.random.Generator, recordings: int, n: int) -> np.ndarray:
+    x = random.exponential(size=(recordings, n + 1))
     return np.maximum(x[:, 1:], x[:, :-1])
 
 
-FAMILIES: dict[str, tuple[Callable[[np.random.Generator, int], np.ndarray], float]] = {
+FAMILIES: dict[str, tuple[Callable[[np.random.Generator, int, int], np.ndarray], float]] = {
     "exponential": (_exponential, 0.0),
     "pareto": (partial(_pareto, SHAPE), SHAPE),
     "bounded": (partial(_pareto, -SHAPE), -SHAPE),
     "differing": (_differing, SHAPE),
     "clusters": (_clusters, 0.0),
 }
-"""Scores of recordings (recordings, BLOCKS), and the shape of their tail, of scale 1, by family."""
+"""Scores (recordings, n) of n steps of recordings, and the shape of their tail, of scale 1, by family."""
 
 
 def true_rate(shape: float, threshold: float) -> float:
@@ -65,7 +65,7 @@ def true_rate(shape: float, threshold: float) -> float:
 def _fleet(family: str, hours: float, fresh: np.ndarray, seed: int, index: int) -> list[dict[str, float]]:
     """Results of a fleet at every rate; ``fresh``: the family's sorted peaks on other hours."""
     draw, shape = FAMILIES[family]
-    scores = draw(np.random.default_rng([seed, index, round(hours)]), round(hours / RECORDING_H))
+    scores = draw(np.random.default_rng([seed, index, round(hours)]), round(hours / RECORDING_H), BLOCKS)
     names = [str(i) for i in range(len(scores))]
     peaks = Peaks.from_maxima(
         {n: [x] for n, x in zip(names, scores, strict=True)}, dict.fromkeys(names, RECORDING_H)
@@ -92,7 +92,8 @@ def bench_rates(fleets: int, hours: list[float], fresh_h: float, seed: int, jobs
     """All numbers of the table."""
     rows = []
     for number, (family, (draw, _)) in enumerate(FAMILIES.items()):
-        other = draw(np.random.default_rng([seed, 10**6 + number]), round(fresh_h / RECORDING_H))
+        random = np.random.default_rng([seed, 10**6 + number])
+        other = draw(random, round(fresh_h / RECORDING_H), BLOCKS)
         if family == "clusters":
             other = other[:, ::2]  # every score once
         fresh = np.sort(other.ravel())[-round(fresh_h) :]
