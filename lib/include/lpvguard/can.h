@@ -21,8 +21,8 @@
 ///     live, hold -- LPVG_CAN_OFF_MISSED periods missed -------------> off
 ///     live, hold -- score of bad frames reaches LPVG_CAN_SCORE_OFF -> off      (+1 each bad, -1 each good, never below 0)
 ///     live, hold -- LPVG_CAN_WINDOW_BAD of the newest LPVG_CAN_WINDOW frames were bad -> off
-///     any  -- LPVG_CAN_ARRIVALS frames within LPVG_CAN_ARRIVALS_PERIODS periods -> off, until as many have taken longer
-///     any  -- LPVG_CAN_RATE_ARRIVALS frames within LPVG_CAN_RATE_PERIODS periods -> off, until as many have taken longer
+///     any  -- LPVG_CAN_ARRIVALS frames within LPVG_CAN_ARRIVALS_PERIODS periods -> off, until as many take longer
+///     any  -- LPVG_CAN_RATE_ARRIVALS frames within LPVG_CAN_RATE_PERIODS periods -> off, until as many take longer
 ///     live, hold -- score of a second sender reaches LPVG_CAN_FOREIGN_OFF -> off   (-1 each good frame, never below 0;
 ///                   +LPVG_CAN_FOREIGN_ADD each frame that repeats the newest good counter within 3/4 of a period)
 ///     any  -- bus-off, seen as an error frame ----------------------> off

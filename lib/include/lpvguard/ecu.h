@@ -39,8 +39,8 @@
 /// after LPVG_ECU_CALM_US without engagement. During that time every message must have been live, and no test may have falsified the
 /// model. This excludes faulty sensors and disturbances, but says nothing about the response. The response is judged on trial, while
 /// engaged. The trial ends well with a valid verdict, or with evidence of the watch for LPVG_ECU_CALM_US. If the verdict becomes
-/// invalid during the trial, no further acknowledgement is taken until init. None is taken either once the watch found the response wrong:
-/// while released nothing can speak for it.
+/// invalid during the trial, no further acknowledgement is taken until init. The same holds once the watch has found a wrong response,
+/// because a released loop gives no evidence on the response.
 ///
 /// Permission. The vehicle asks for control with its request message (bus.h). A request for control counts once another request has been
 /// received since init. Nothing is engaged while another command on the actuator has a higher priority than `priority`. Nothing is
@@ -98,7 +98,7 @@ LPVG_EXTERN_C_BEGIN
 #define lpvg_ecu_explain LPVG_SYM(ecu_explain)
 
 #define LPVG_ECU_SPEED_HYSTERESIS_MPS 0.25F  ///< Distance beyond an end at which the speed has left the range [m/s]
-#define LPVG_ECU_WAIT_US 500000U  ///< Wait from the end of the last cause to engagement        [us]
+#define LPVG_ECU_WAIT_US 500000U  ///< Time from the end of the last cause to engagement        [us]
 #define LPVG_ECU_RELEASES_MAX 3U  ///< Number of releases by faults after which the next one locks.
 #define LPVG_ECU_RELEASES_US 60000000U  ///< Time without a release by a fault that resets their number [us]
 #define LPVG_ECU_ENGAGEMENTS_MAX 60U  ///< Most engagements within an hour; the next one locks.
@@ -122,7 +122,7 @@ LPVG_EXTERN_C_BEGIN
 #define LPVG_ECU_CAUSE_ACTUATOR 0x1000U  ///< The actuator does not follow the demand.
 #define LPVG_ECU_CAUSE_OFTEN 0x4000U  ///< The loop was engaged LPVG_ECU_ENGAGEMENTS_MAX times within the last hour.
 #define LPVG_ECU_CAUSE_CORRUPT 0x2000U  ///< Coefficients, kept values or state are damaged. Lasts until init.
-#define LPVG_ECU_CAUSE_WAIT 0x0100U  ///< The last cause has gone less than LPVG_ECU_WAIT_US ago.
+#define LPVG_ECU_CAUSE_WAIT 0x0100U  ///< The last cause ended less than LPVG_ECU_WAIT_US ago.
 #define LPVG_ECU_CAUSE_LOCKED 0x0200U  ///< The loop waits for an acknowledgement.
 
 /// Causes that `report_only` may name.

@@ -14,15 +14,15 @@
 /// has the gain rho^-n. A ratio of left to right side above 1 proves (W_delta, sigma) wrong for every such Delta. The alarm threshold is
 /// calibrated; it is at least 1 plus the rounding of float. Proof: THEORY 7.2.
 ///
-/// After a restart, with t0 its first sample, the right side is larger by what Delta, W_delta and F may remember:
+/// After a restart with first sample t0, Delta, W_delta and F may still respond to earlier samples. The right side then grows by
 ///
 ///     sum_j |a_j| rho^(T - t0 + 1) energy_start_j                                                             (T19b)
 ///
-/// `energy_start` is the largest that the identification's drives show. The statement holds where the driving before the restart left no
-/// more. The model's own transient is not part of the proof.
+/// `energy_start` is the largest such response on the identification's drives. The statement holds if the driving before the restart
+/// left no larger response. The transient of the model is not part of the proof.
 ///
 /// F is the filter of each of LPVG_NBANDS bands in turn: below the first corner, between each and the next, above the last (T21).
-/// The filters sum to 1, and each band has a sigma_j of its own. The memory is memory_s. Above the last corner that of the left side is
+/// The filters sum to 1, and each band has a sigma_j of its own. The memory is memory_s. Above the last corner the left side's memory is
 /// memory_s * f_first / f_last (T22).
 ///
 /// The filter for W_delta is W_delta((2/Ts) (z/rho - 1) / (z/rho + 1)) (T20). `lpvguard identify` certifies its magnitude on
@@ -58,8 +58,8 @@ typedef struct lpvg_energy_t {
     lpvg_real_t F[LPVG_NBANDS - 1][3 * LPVG_NY];  ///< states of the low-passes for e, yhat and W_delta yhat [output unit]
     lpvg_real_t W[LPVG_NWEIGHT][2][LPVG_NY];    ///< states of the sections of W_delta [output unit]
     lpvg_energy_band_t band[LPVG_NBANDS];
-    lpvg_real_t fading;  ///< rho^(2 (T - t0 + 1)), of what is remembered at the restart [-]
-    lpvg_real_t ratio;  ///< left side over right side in the newest direction, largest over the bands; 0 at first [-]
+    lpvg_real_t fading;  ///< rho^(2 (T - t0 + 1)), decay of the response to samples before the restart [-]
+    lpvg_real_t ratio;  ///< left side over right side in the newest direction, maximum over the bands; 0 at first [-]
     uint32_t strongest;  ///< band of that ratio
     uint32_t direction;  ///< index of the newest direction
     uint32_t next_direction;  ///< index of the direction that is judged next

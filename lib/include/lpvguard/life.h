@@ -30,7 +30,7 @@ extern "C" {
 #define LPVG_LIFE_LEVELS 8U  ///< Largest number of stored calibration scores.
 #define LPVG_LIFE_BETS 3U
 #define LPVG_LIFE_START 64U      ///< Number of recordings after which half of the wealth is at stake.
-#define LPVG_LIFE_MOST 16777151U  ///< Largest number of counted recordings; a float still counts by one LPVG_LIFE_START above it.
+#define LPVG_LIFE_MOST 16777151U  ///< Largest number of counted recordings; a float counts exactly up to LPVG_LIFE_START more.
 #define LPVG_LIFE_BYTES 28U      ///< Number of stored bytes.
 
 /// Table of a calibration set. Levels and factors beyond n_levels are 0.

@@ -32,9 +32,9 @@
 /// verdict is invalid. With one Delta common to several outputs a lower bound of that margin is compared. A pool refutes no certificate.
 ///
 /// Energy test (energy.h). It takes every sample. It is judged in each push that judges no frame, once model and F have settled.
-/// A *ratio* above `energy_threshold` is an alarm. It refutes the certificate above `energy_certificate`. The first alarm after
-/// `energy_rearm` judgements below the threshold is recorded, and one that refutes where nothing has before. The test restarts from
-/// rest after a gap, a refused sample, or a speed outside the scheduling range.
+/// A *ratio* above `energy_threshold` is an alarm. It refutes the certificate above `energy_certificate`. An alarm is recorded
+/// after `energy_rearm` judgements below the threshold, or if it is the first alarm that refutes. The test restarts from rest after
+/// a gap, a refused sample, or a speed outside the scheduling range.
 ///
 /// Change test (change.h). It takes every settled block of LPVG_NBLOCK samples. Each output is then judged once, in a later push
 /// that closes no frame. A block is lost when the next block ends before all outputs are judged. A *ratio* above `change_threshold`

@@ -1,7 +1,7 @@
 /// @file watch.h -- watch of the response: does the vehicle follow the demand as modelled, within seconds of engagement?
 ///
 /// phi is the response of the nominal model to the demand. It goes on through missing measurements. e is the measured output minus phi. F
-/// is a high-pass with corner LPVG_WATCH_CORNER_RPS, at rest on the first sample of both. The sums below begin with the engagement. They
+/// is a high-pass with corner LPVG_WATCH_CORNER_RPS that starts at rest with both signals. The sums below begin with the engagement. They
 /// forget with LPVG_WATCH_SHORT_S, for sudden faults, and with LPVG_WATCH_LONG_S, for weak ones. A third pair of sums is for demands that
 /// hardly move. It takes the part that F removes and forgets as the energy test does. For all three memories and each output j
 ///
@@ -9,12 +9,12 @@
 ///
 /// If the response is 1 + d_j times the nominal one, then P_j = d_j Q_j + sum of F w_j F phi_j. A violation therefore refutes every
 /// constant |d_j| <= gain_j with a disturbance whose part along F phi_j is at most disturbance_j (THEORY 7.14). A violation counts once
-/// Q_j is so large that |d_j| = LPVG_WATCH_ERROR_MAX would violate. With less, P_j shows what a demand before the engagement left behind.
+/// Q_j is so large that |d_j| = LPVG_WATCH_ERROR_MAX would violate. With a smaller Q_j, P_j shows the effect of earlier demands.
 ///
 /// gain_j is the smallest W_certificate,j of all bins: a larger constant error lies outside the certificate set. If it is above
 /// LPVG_WATCH_GAIN_MAX, gain_j is the largest gain that the change test accepts as healthy. If that is too large as well, output j is
 /// not watched. disturbance_j comes from the energy test's sigma_j between its outer corners, over LPVG_WATCH_COHERENCE_S. For the third
-/// pair the whole sigma_j below the first corner is added in power: a disturbance there may follow the response for ever.
+/// pair the whole sigma_j below the first corner is added in power: a disturbance there may follow the response at all times.
 ///
 /// The sums are *evidence* when a vehicle without response, P_j = -Q_j, would violate the limit.
 ///
@@ -32,9 +32,9 @@ LPVG_EXTERN_C_BEGIN
 #define LPVG_WATCH_SHORT_S 1.0F  ///< shorter time constant of the forgetting        [s]
 #define LPVG_WATCH_LONG_S 5.0F  ///< longer time constant of the forgetting         [s]
 #define LPVG_WATCH_COHERENCE_S 1.5F  ///< longest time for which a disturbance may follow the response [s]
-#define LPVG_WATCH_MEMORIES 3  ///< number of memories: the shorter, the longer, that of the slow parts
+#define LPVG_WATCH_MEMORIES 3  ///< number of memories: the shorter, the longer, and one for the slow parts
 #define LPVG_WATCH_GAIN_MAX 0.6F  ///< largest watched |d|: a gain of 0.3 is beyond it  [-]
-#define LPVG_WATCH_ERROR_MAX 2.5F  ///< largest |d| that is looked for: that of a reversed and of a tripled response is 2 [-]
+#define LPVG_WATCH_ERROR_MAX 2.5F  ///< largest |d| that is looked for; a reversed and a tripled response have |d| = 2 [-]
 
 #define lpvg_watch_limits_t LPVG_SYM(watch_limits_t)
 #define lpvg_watch_t LPVG_SYM(watch_t)
@@ -68,12 +68,12 @@ void lpvg_watch_limits(lpvg_watch_limits_t* limits, const lpvg_coeff_t* coeff);
 /// Starts with the state of the monitor's model after a sample. NULL is not checked.
 void lpvg_watch_start(lpvg_watch_t* self, const lpvg_model_t* model);
 
-/// Clears the sums and what they say; the response phi goes on. NULL is not checked.
+/// Clears the sums and their results; the response phi goes on. NULL is not checked.
 void lpvg_watch_void(lpvg_watch_t* self);
 
 /// Takes the measured outputs y [LPVG_NY] of a sample and the demand u [LPVG_NU] that is applied after it. `model` is the monitor's model
-/// after that sample. y is NULL where there is no measurement: then only phi goes on. While `settled` is false, F is at rest and nothing is
-/// summed. It is false in the first sample with a measurement. NULL is not checked otherwise.
+/// after that sample. y is NULL if there is no measurement; then only phi goes on. While `settled` is false, F is at rest and nothing is
+/// summed. `settled` is false in the first sample with a measurement. NULL is not checked otherwise.
 void lpvg_watch_take(lpvg_watch_t* self, const lpvg_watch_limits_t* limits, const lpvg_coeff_t* coeff, const lpvg_model_t* model,
                      bool settled, const lpvg_real_t* y, const lpvg_real_t* u);
 

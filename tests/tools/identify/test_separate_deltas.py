@@ -74,4 +74,4 @@ def test_a_cut_drive_far_below_the_energy_tests_bound_asks_for_no_larger_sigma(
 def test_the_page_draws_one_line_an_output(stored):
     estimator = Estimator.from_project(stored.project, NominalModel(stored.project))
     page = "".join(bound_sections(IdentificationPictures(stored, estimator)))
-    assert "one line, an output" in page and page.count("<svg") == 4
+    assert "one line per output" in page and page.count("<svg") == 4

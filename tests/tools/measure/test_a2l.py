@@ -241,7 +241,7 @@ def test_the_access_of_the_slave_stands_beside_the_measurements(truck_elf, truck
         ("1:2:3", "'1:2:3'"),
         ("0x18EF27F9:0x98EFF927", "0x18ef27f9 is not an identifier"),
         ("0x1:0xC0000000", "0xc0000000 is not an identifier"),
-        ("-1:2", "no identifier"),
+        ("-1:2", "not an identifier"),
         ("5:5", "equal"),
     ],
 )

@@ -327,7 +327,7 @@ class FrameLog:
     """Frames judged by the core during a run, in the order of judgement.
 
     Arrays are over frames; E and Z are (F, n_y). t_judged_s is the time of the sample at which the core
-    judged. Frames that end together are judged at successive samples. Alarms of the other tests have the same
+    judged. Frames that end together are judged one after the other. Alarms of the other tests have the same
     form (lpvg_frame_t in monitor.h). For the energy test, bin is band and direction, and E and Z hold norms.
     For the change test, bin is output and part, and E and Z hold the estimate.
     """

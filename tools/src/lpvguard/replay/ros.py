@@ -166,7 +166,7 @@ def _part(vehicle: str, named: dict[str, Any]) -> Message:
 
 
 def _status(t: int, level: int, name: str, message: str, vehicle: str, values: dict[str, str]) -> Message:
-    """Diagnostics with one status, at ``t`` [ns]."""
+    """Diagnostics message with one status at time ``t`` [ns]."""
     status = {
         "level": level,
         "name": name,

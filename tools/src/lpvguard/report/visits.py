@@ -30,7 +30,7 @@ class Longest:
 
 @dataclass
 class Visits:
-    """Counted frames of all drives: lists over drives of bins (F,) and Z (F, n_y).
+    """Counted frames of all drives: bins (F,) and Z (F, n_y), one array per drive.
 
     It also has the longest judged, excited stretches in the lower and the upper third of the model's speed
     range.

@@ -420,7 +420,7 @@ class FitSettings(StrictModel):
     input_delay_s : (low, high) or None, s, at most 1 s; equal ends keep the delay
         By default from 0 to ten samples or three times the value.
     trim : str, one input_offset for all drives, or one for each drive (then their mean is written)
-    kind : str or None, kind of vehicle; a fit outside its ranges is refused; None refuses nothing
+    kind : str or None, kind of vehicle, whose ranges a fit must keep; None means no ranges
     """
 
     kind: KindName | None = None

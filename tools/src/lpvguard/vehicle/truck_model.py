@@ -1,7 +1,7 @@
 """The paper's nominal truck model at a frozen speed, for any speed and wheelbase.
 
 It gives the continuous model, the exact zero-order hold and the frequency response.
-vehicle/shipped/truck.toml holds the equations and Table I, with the lag of the brakes as an additional last
+The equations and Table I are in vehicle/shipped/truck.toml, with the lag of the brakes as an additional
 state. Here the input is the brake pressure, as in the paper.
 
 The state is ``[r, delta, delta_dot]``: yaw rate [rad/s], road-wheel angle [rad], its rate [rad/s]. The input

@@ -50,8 +50,8 @@ class Solution:
 
 class ScaledProblem:
     """One LFT point in well-scaled coordinates, with the maps to the signals of the blocks and to w. ``xi``,
-    ``eta`` (one map per block), ``w`` (n_w, n) and ``t`` (1, n) map a point z (n,) to signals, all divided by
-    the same factor. ``dead``: blocks whose input is always zero. ``ball_is_point``: gamma_w equals B1."""
+    ``eta`` (one map per block), ``w`` (n_w, n) and ``t`` (1, n) map a point z (n,) to signals. All have the
+    same factor. ``dead``: blocks whose input is always zero. ``ball_is_point``: gamma_w equals B1."""
 
     def __init__(
         self, problem: Lft, w_scale: np.ndarray, gamma_w: float = np.inf, without: Sequence[int] = ()

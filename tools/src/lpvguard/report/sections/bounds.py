@@ -35,18 +35,17 @@ def _data_words(bounds: dict[str, np.ndarray], grid: np.ndarray) -> str:
     )
     if np.nanmax(bounds["B1"]) > 0:
         b1 = (
-            "Green: the right side of (9) per frame and its maximum B<sub>1</sub>, the least disturbance "
-            "that one δ common to all outputs leaves to explain."
+            "Green: the right side of (9) per frame and its maximum B<sub>1</sub>. This is the least "
+            "disturbance that remains with one δ for all outputs."
         )
     else:
         b1 = (
-            "B<sub>1</sub> is 0 in every bin and has no place on the logarithmic axis: with one output δ = "
-            "E/Z explains any frame without a disturbance, so the ceiling alone decides the trade-off."
+            "B<sub>1</sub> is 0 in every bin and is not drawn, because the axis is logarithmic. With one "
+            "output, δ = E/Z explains any frame without a disturbance. The ceiling alone sets the trade-off."
         )
     stars = (
-        f"Stars: DC, standing at {grid[0]:.3g} rad/s ({DC_STAND_IN:g} of the lowest bin) for want of a "
-        "place; the shaded gap between is below the lowest bin, where there is no information and only "
-        "longer records help."
+        f"Stars: DC, drawn at {grid[0]:.3g} rad/s ({DC_STAND_IN:g} of the lowest bin). The shaded gap is "
+        "below the lowest bin. There is no information in the gap; only longer records help."
     )
     return f"{b1} {stars}{gaps}"
 
@@ -65,15 +64,15 @@ def _disturbance(stored: StoredIdentification, estimator: Estimator, drawn: Iden
         drawn.disturbance("f2"),
         f"<b>Counterpart of Fig. 2.</b> Grey: |E| of {points} frames of the "
         f"{len(stored.manifest['drives']['bounds'])} bound-setting drives on the monitor's frame grid, "
-        f"thinned to about {POINTS_PER_BIN} a bin (the largest |E| kept). B<sub>2</sub>: their bound over "
-        f"frames at every start ({int(bounds['frames'].sum())} frames), hence on or above all points. "
-        "Circles: γ<sub>w</sub> that the rule asks for, max √(B<sub>1</sub>² + |Z|² max(0, |δ<sub>0</sub>| − "
-        "ν̄)²), and at DC B<sub>2</sub>; line: the overbounding fit that is used. "
+        f"reduced to about {POINTS_PER_BIN} per bin (the largest |E| are kept). B<sub>2</sub>: the bound of "
+        f"|E| over frames at every start ({int(bounds['frames'].sum())} frames). It lies on or above all "
+        "points. Circles: γ<sub>w</sub> by the rule, max √(B<sub>1</sub>² + |Z|² max(0, |δ<sub>0</sub>| − "
+        "ν̄)²), and B<sub>2</sub> at DC. Line: the fit above them, which is used. "
         f"{_data_words(bounds, drawn.grid)} Lower panel: the ceiling ν̄(ω) on the uncertainty, {source}, and "
-        "what was needed in the end (closest to its ceiling at "
+        "the needed uncertainty (closest to its ceiling at "
         f"{estimator.omega[binding]:.3g} rad/s: ν = {nu[binding]:.3g} of "
-        f"{bounds['nu_ceiling'][binding]:.3g}). How to read it: γ<sub>w</sub> near B<sub>2</sub> blames the "
-        "disturbance, γ<sub>w</sub> near B<sub>1</sub> blames the model.",
+        f"{bounds['nu_ceiling'][binding]:.3g}). How to read it: if γ<sub>w</sub> is near B<sub>2</sub>, "
+        "disturbance explains the error. If it is near B<sub>1</sub>, model error explains it.",
     )
 
 
@@ -84,27 +83,27 @@ def _weights(stored: StoredIdentification, drawn: IdentificationPictures) -> str
     points = sum(len(c) for c in clouds.E)
     needing = sum(int((c > 0).any(axis=1).sum()) for c in clouds.nu)
     noise = (
-        "Dash-dotted: the sensor's weight |W<sub>n</sub>|, the bound of the zero-input drives; W<sub>w</sub> "
-        "is what B<sub>w</sub> leaves without it (step 7)."
+        "Dash-dotted: the sensor's weight |W<sub>n</sub>|, the bound of the zero-input drives. "
+        "W<sub>w</sub> covers B<sub>w</sub> minus this noise (step 7)."
         if weights["W_n"]
         else "Without zero-input drives there is no noise weight: W<sub>w</sub> covers B<sub>w</sub>."
     )
     of_structure = {
         "S0": " Structure S0 allows no uncertainty: all error is disturbance.",
-        "S1_diagonal": " Structure S1_diagonal: one Δ<sub>j</sub>, and one line, an output.",
+        "S1_diagonal": " Structure S1_diagonal: one Δ<sub>j</sub> and one line per output.",
     }.get(structure, "")
     return captioned(
         drawn.weights("f3"),
-        "<b>Counterpart of Fig. 3.</b> Left, per output: the disturbance |w<sub>j</sub>| that no |δ| ≤ "
-        "W<sub>Δ</sub> explains, frame by frame, and its bound B<sub>w</sub> over every start (dashed). "
+        "<b>Counterpart of Fig. 3.</b> Left, per output: the disturbance |w<sub>j</sub>| of each frame that "
+        "no |δ| ≤ W<sub>Δ</sub> explains, and its bound B<sub>w</sub> over every start (dashed). "
         f"Line: the weight |W<sub>w</sub>|, inflation {inflation:.6g} included. {noise} Right: the "
-        f"uncertainty ν = min |δ| with |E − δZ| ≤ γ<sub>w</sub>; {needing} of {points} frames need any, the "
-        "others (ν = 0) have no place on the axis. Dashed: what W<sub>Δ</sub> must cover, the larger of ν at "
-        "the bins and of what the model error model asks for over its whole range (next section), at least "
-        f"{SMALLEST_NU:g} as a weight must be positive; B<sub>w</sub> and ν are over every start, so they "
+        f"uncertainty ν = min |δ| with |E − δZ| ≤ γ<sub>w</sub>; {needing} of {points} frames need it. "
+        "Frames with ν = 0 are not drawn. Dashed: what W<sub>Δ</sub> must cover. This is the maximum of ν at "
+        "the bins and of the bound of the model error model over its range (next section). It is at least "
+        f"{SMALLEST_NU:g}, because a weight must be positive. B<sub>w</sub> and ν use every start, so they "
         f"can lie above the points of the monitor's grid. ν(0) = 0 by definition.{of_structure} How to read "
-        "it: a line far above its dashed bound is conservatism of the fit, the worst stands among settings "
-        "and proofs.",
+        "it: a line far above its dashed bound shows that the fit is conservative. The section on settings "
+        "and proofs states the worst ratio.",
     )
 
 
@@ -122,12 +121,11 @@ def _model_error(stored: StoredIdentification, drawn: IdentificationPictures) ->
         f"<b>Model error.</b> |δ<sub>c</sub>|, the part of the error that follows the input, in "
         f"{error.grid.cells[0]} speed cells and {error.grid.cells[1]} amplitude classes. "
         f"{escape(claim(project))}. Bars: k = {error.setting.k:.2f} standard errors, a simultaneous level of "
-        "95 %; pale: k se is 1 or more, so a vehicle that does not respond would not have been refuted. "
+        "95 %. Pale: k se is 1 or more, so a vehicle that does not respond would not have been refuted. "
         f"Doubling the frames moves {np.mean(moved < 1):.0%} of the estimates by less than their standard "
-        f"error. Drives tell: {reach}. Beyond, shaded, 1 + ρ is assumed for the reason that stands there. "
-        "How "
-        "to read it: the line must lie above the bars of the drives that set the bounds, and above the lower "
-        "end of the others' bars."
+        f"error. Drives are informative: {reach}. Beyond (shaded), 1 + ρ is assumed for the stated reason. "
+        "How to read it: the line must lie above the bars of the drives that set the bounds, and above the "
+        "lower end of all other bars."
     )
     return f"<p>{premise_of(stored)}</p>{captioned(drawn.model_error('model-error'), caption)}"
 
@@ -136,16 +134,16 @@ def _front(stored: StoredIdentification, drawn: IdentificationPictures) -> str:
     """Pareto front per bin, or a sentence if there is none."""
     front, shown = stored.front, drawn.front("front")
     if shown is None:
-        return "<p>Structure S0 puts all error into the disturbance: there is nothing to trade.</p>"
+        return "<p>Structure S0 puts all error into the disturbance, so there is no trade-off.</p>"
     return captioned(
         shown,
         (
-            "<b>Pareto front.</b> The least uncertainty ν with which every frame of the bound-setting "
-            "drives, at every start, is explained with a disturbance of at most γ<sub>w</sub>: exact at "
-            f"{front['nu'].shape[1]} values of γ<sub>w</sub> a bin from B<sub>1</sub>, where the line ends "
-            "on the left, to B<sub>2</sub>, where it meets 0. Everything below the line is falsified. Dot: "
-            "the pair that was taken, by the ceiling (dashed) and the smoothing of γ<sub>w</sub> over the "
-            "bins. How to read it: a dot on a steep part pays for a little less disturbance with much more "
-            "uncertainty; vertical axes end at three times what was taken or allowed."
+            "<b>Pareto front.</b> The least uncertainty ν that explains every frame of the bound-setting "
+            "drives, at every start, with a disturbance of at most γ<sub>w</sub>: exact at "
+            f"{front['nu'].shape[1]} values of γ<sub>w</sub> per bin, from B<sub>1</sub> (left end of the "
+            "line) to B<sub>2</sub> (ν = 0). Every pair below the line is falsified. Dot: the chosen pair, "
+            "by the ceiling (dashed) and the smoothing of γ<sub>w</sub> over bins. How to read it: at a dot "
+            "on a steep part, a little less disturbance costs much more uncertainty. Vertical axes end at "
+            "three times the chosen or allowed value."
         ),
     )

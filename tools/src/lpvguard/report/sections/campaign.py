@@ -43,8 +43,8 @@ def _falsified(c: dict) -> str:
     """Paragraph on the runs within the bounds that contradict the certificate."""
     falsified = c["falsified"]
     text = f"""<p><b>Falsified certificates: {share_words(falsified["rate"])}</b> of the runs within the \
-bounds. There a run that oscillates,
-saturates for a second or leaves the tracking bound contradicts the certificate. None is left out.</p>"""
+bounds. Such a run contradicts the certificate if it oscillates,
+saturates for a second or leaves the tracking bound. All such runs are listed.</p>"""
     if not falsified["runs"]:
         return text
     return text + html_table(
@@ -80,17 +80,17 @@ def _runs(c: dict) -> str:
     faulted = sum(s["runs"] for s in c["severities"])
     claims = "; ".join(f"{escape(t)} test: {escape(limit['claim'])}" for t, limit in c["calibrated"].items())
     return f"""<p>{within["runs"]} runs, {within["hours"]:.1f} h of driving \
-({within["judged_hours"]:.1f} h judged), of {within["plants"]} trucks whose own frequency
-response lies within the bounds: |δ| ≤ W_Δ at {_checked(within)} (of {within["candidates"]} drawn; \
-largest |δ|/W_Δ
-{within["largest_ratio"]:.3f}, the nominal truck's {within["nominal_ratio"]:.3f}), and {faulted} runs with a \
-fault of the truck. Intervals are exact, over runs
-(Clopper and Pearson; an hour: Poisson), since alarms of one run come together.
-Calibrated per drive: {claims}. A fault is <i>visible</i> in a run when off-line t* \
+({within["judged_hours"]:.1f} h judged), of {within["plants"]} trucks whose frequency
+response lies within the bounds: |δ| ≤ W_Δ at {_checked(within)}. They were selected from \
+{within["candidates"]} random trucks; their largest |δ|/W_Δ is
+{within["largest_ratio"]:.3f}, that of the nominal truck {within["nominal_ratio"]:.3f}. {faulted} runs have \
+a fault of the truck. Intervals are exact, over runs
+(Clopper-Pearson; per hour: Poisson), because alarms of one run depend on each other.
+Calibrated per drive: {claims}. A fault is <i>visible</i> in a run if off-line t* \
 is at least 1.5 times the threshold in a
-tenth of the excited frames after it; that uses nothing the monitor says. Of the alarms that were due by the \
-bounds,
-{share_words(c["due"])} came in time.</p>"""
+tenth of the excited frames after it. This does not use the monitor's results. The bounds required some \
+alarms;
+{share_words(c["due"])} of them came in time.</p>"""
 
 
 def _overall(c: dict) -> str:
@@ -151,11 +151,11 @@ def _alarm_table(c: dict) -> str:
 def _baselines(c: dict) -> str:
     """Calibration and comparison of the baselines."""
     baselines = ", ".join(escape(b["label"]) for b in c["baselines"])
-    return f"""<p>Baselines ({baselines}) run on the same samples with thresholds from the same calibration \
-drives by the same rule. Those drives are of one
-truck, so on trucks that differ from it within the bounds their rate is not the same: \
-“{escape(c["matched_claim"])}” takes for
-every detector the least threshold with which the same rule allows its alarms both in the runs within the \
+    return f"""<p>Baselines ({baselines}) run on the same samples. Their thresholds come from the same \
+calibration drives by the same rule. These drives are of one
+truck, so the rate is different on other trucks within the bounds. \
+“{escape(c["matched_claim"])}” therefore uses for
+each detector the least threshold at which the same rule allows its alarms in the runs within the \
 bounds and before the faults.</p>"""
 
 
@@ -163,9 +163,9 @@ def _ways(c: dict) -> str:
     """Faults that begin in several ways: at once, growing, from the start of the run."""
     names = [escape(title) for title in c["detectors"].values()]
     rows = [[escape(cell) for cell in row] for row in way_rows(c)]
-    return f"""<p>Faults of the truck alone come in several ways. Everything else here is of the first, at \
-once. A cell: found on average at
-calibrated thresholds, found {escape(c["matched_claim"])}, and the median time from the fault's start.</p>
+    return f"""<p>Faults of the truck begin in several ways. All other results in this section are for the \
+first way, at once. A cell: share found at
+calibrated thresholds, share found {escape(c["matched_claim"])}, and median time from the fault's start.</p>
 {html_table([*WAYS_HEAD, *names], rows)}"""
 
 
@@ -205,7 +205,7 @@ def _pictures(c: dict) -> str:
     time = captioned(
         drawn["time"],
         "<b>Time to the first alarm against severity</b>, at these thresholds: median judged, excited time "
-        "over the runs without an alarm before the fault; no point where half of them never alarmed.",
+        "over the runs without an alarm before the fault. No point: half of the runs or more never alarmed.",
     )
     return f"{matched}\n{calibrated}\n{time}"
 
@@ -273,24 +273,26 @@ def _invisible(c: dict) -> str:
     )
     return f"""<h3>Invisible, though robust performance is lost</h3><p>Upper bound of mu of the faulted loop \
 at least 1, visible in fewer than half of the runs:
-{hidden or "none"}. Some are found all the same, by the energy test or in single frames; nothing promises \
-it. The largest mu over three speeds is meant; it exists for faults that are linear and time-invariant.</p>"""
+{hidden or "none"}. The energy test or single frames find some of them, but this is not promised. \
+mu is the largest over three speeds; it exists for linear, time-invariant faults.</p>"""
 
 
 def _bus(c: dict) -> str:
     """Expected and actual answers of the supervision to bus faults."""
     faulty, healthy = c["supervision"]["faulty"], c["supervision"]["healthy"]
-    return f"""<h3>Faults of the bus</h3><p>What the supervision must say at every tick follows from the \
-frames that were on the bus and the message table:
-three missed periods hold, five switch off, so does a score of five bad frames, and five good ones bring \
-back. That is worked out
-apart from the core. As required were {share_words(faulty["as_required"])} of the runs with a faulty bus, \
-where of {faulty["due"]} reactions due
-{faulty["met"]} came at the very tick, and {share_words(healthy["as_required"])} of those within the bounds, \
-with none due. <i>Judged</i> is excited driving that the monitor judged, of the time since the fault: after
-every gap its model has to settle. Alarms of model error stand beside the runs in which the samples \
-themselves show one: a late or corrupted
-value that passes for a good one. <code>GUARD_IN</code> was {c["command_authentication"]}.</p>\
+    return f"""<h3>Faults of the bus</h3><p>The frames on the bus and the message table determine the state \
+of the supervision at every tick.
+Three missed periods give hold. Five missed periods or a score of five bad frames give off. Five good frames \
+give live again. This is computed
+independently of the core. The states were as required in {share_words(faulty["as_required"])} of the runs \
+with a faulty bus; {faulty["met"]} of
+{faulty["due"]} required reactions came at the exact tick. They were as required in \
+{share_words(healthy["as_required"])} of the runs within the bounds,
+which require no reaction. <i>Judged</i> is the share of excited driving since the fault that the monitor \
+judged: after
+every gap its model has to settle. Two columns count alarms of model error, and runs in which the samples \
+themselves have an error: a late or corrupted
+value that passes as good. <code>GUARD_IN</code> was {c["command_authentication"]}.</p>\
 {_bus_table(c)}"""
 
 

@@ -37,12 +37,12 @@ def _run(folder: Path, name: str, r: dict) -> str:
     """Picture and caption of the run ``r``."""
     return captioned(
         drawn_run(folder, name, r),
-        f"<b>{escape(r['title'])}</b> (seed {r['seed']}). Top: what the command filtered by the reference "
-        "model asks for, and the simulated truck's true yaw rate. Middle: the pressure difference the ECU "
-        "demands. Bottom: the margin of every counted frame as the ECU's monitor judged it; above the dashed "
-        "line no one complex number within W<sub>Δ</sub> and no disturbance within B<sub>w</sub>, both times "
-        "the threshold, explain the frame in its bin. Dotted: the fault begins. Solid: the verdict first "
-        "turns invalid, by any test; energy and change test have no frames and are not drawn.",
+        f"<b>{escape(r['title'])}</b> (seed {r['seed']}). Top: the reference (filtered command) and the "
+        "simulated truck's true yaw rate. Middle: the pressure difference that the ECU demands. Bottom: the "
+        "margin of every counted frame from the ECU's monitor. Above the dashed line, no complex number "
+        "within W<sub>Δ</sub> and no disturbance within B<sub>w</sub>, both times the threshold, explain the "
+        "frame in its bin. Dotted: start of the fault. Solid: the first verdict invalid, by any test. Energy "
+        "and change test have no frames and are not drawn.",
     )
 
 

@@ -98,8 +98,8 @@ def _robustness(robustness: dict | None) -> str:
     ]
     return f"""<h3>Beside μ, at every node</h3>
 <p>μ and worst-case gain are bounds proved between frequencies, over every LTI Δ of size 1 (THEORY 7.10). \
-Disk margins are those of the nominal loop, broken at the vehicle's input. The ν-margin is how far a vehicle \
-may be in the ν-gap and still be stabilised.</p>{html_table(titles, rows, "tight")}"""
+Disk margins are those of the nominal loop, opened at the vehicle's input. The ν-margin is the largest \
+ν-gap up to which every vehicle is stabilised.</p>{html_table(titles, rows, "tight")}"""
 
 
 def _slow_delta(slow_delta: dict | None) -> str:
@@ -130,10 +130,10 @@ def _slow_delta(slow_delta: dict | None) -> str:
     least = slow_delta["stability_rate_per_s"]
     stable = "at any rate" if least is None else f"up to {number(least)}/s"
     return f"""<h3>A Δ that varies</h3>
-<p>Proved for every causal linear Δ of gain 1 that changes in gain by at most the rate (THEORY 7.11). Frames \
-see the mean of a Δ that turns its sign within them: {number(hidden[0])}/s in the longest, \
-{number(hidden[1])}/s in the shortest. The rate with a gain below 1, {number(proved)}/s, is {words[0]}, and \
-{words[1]}. The loop is stable {stable}.</p>{table}"""
+<p>Proved for every causal linear Δ of gain 1 whose gain changes by at most the rate (THEORY 7.11). A frame \
+sees only the mean of a Δ that changes its sign within the frame. Such a Δ changes by {number(hidden[0])}/s \
+in the longest frame, and by {number(hidden[1])}/s in the shortest. The proved rate with a gain below 1, \
+{number(proved)}/s, is {words[0]} and {words[1]}. The loop is stable {stable}.</p>{table}"""
 
 
 def _limits(limits: dict | None) -> str:
@@ -163,10 +163,10 @@ def _limits(limits: dict | None) -> str:
         "tight",
     )
     return f"""<h3>Limits of the demand</h3>
-<p>Proved for every LTI Δ within W<sub>Δ</sub>, with the anti-windup as the core runs it (THEORY 7.12). \
-While the wanted demand stays within the stated multiple of its limit the loop is stable, and the gain is \
-bounded. Every [w; n; r<sub>c</sub>] up to the stated norm keeps the demand there and the rate limit \
-untouched.</p>{table}"""
+<p>Proved for every LTI Δ within W<sub>Δ</sub>, with the anti-windup of the core (THEORY 7.12). \
+If the wanted demand stays within the stated multiple of its limit, the loop is stable and the gain is \
+bounded. Every [w; n; r<sub>c</sub>] up to the stated norm keeps the demand within this multiple and does \
+not reach the rate limit.</p>{table}"""
 
 
 def _true_loop(path: Path, controller: str) -> str:
@@ -195,10 +195,10 @@ def _true_loop(path: Path, controller: str) -> str:
     )
     within = yes_or_no(truth["beyond"] == 0, "within W<sub>Δ</sub> everywhere", "beyond W<sub>Δ</sub>")
     return f"""<h3>What the loop has, and what is promised</h3>
-<p>Promised: the least margins over every vehicle within W<sub>Δ</sub> (THEORY 7.5), on a grid of \
-frequencies that is refined where the loop bends, not proved between its points. True: the loop around the \
+<p>Promised: the least margins over every vehicle within W<sub>Δ</sub> (THEORY 7.5). They are computed on a \
+refined grid of frequencies and not proved between its points. True: the margins of the loop with the \
 simulated truck's response to sines of each amplitude. The response lies {within}: {truth["beyond"]} of \
-{sum(len(r["deviations"]) for r in truth["true"])} ratios exceed 1. What is promised holds only for a truck \
+{sum(len(r["deviations"]) for r in truth["true"])} ratios exceed 1. The promise holds only for a truck \
 within W<sub>Δ</sub>.</p>{table}"""
 
 
@@ -238,16 +238,16 @@ def _table_2(table: dict, fig5: Picture) -> str:
     )
     weights = captioned(
         fig5,
-        "<b>Counterpart of Fig. 5.</b> Weights of the control problem: left what normalises signals, right "
-        "the objectives of Table II.",
+        "<b>Counterpart of Fig. 5.</b> Weights of the control problem: left the weights that normalise "
+        "signals, right the objectives of Table II.",
     )
     return f"""<h3>Table II for these drives</h3>
 <p>At {table["speed_mps"]:g} m/s, sampled every {table["Ts_s"]:g} s, one sample of delay. μ upper is \
 certified over all frequencies
-(K<sub>∞</sub>: the closed-loop norm); K<sub>is</sub> takes state uncertainty with Λ<sub>ν</sub> = diag(1, \
-{table["lambda_s"]:g} s²), its
-bounds from the {escape(table["state_uncertainty_from"])}. “No controller below” bounds μ of every \
-controller of any order from below, with these weights, at one frequency and for scalings from \
+(K<sub>∞</sub>: the closed-loop norm). K<sub>is</sub> has state uncertainty with Λ<sub>ν</sub> = diag(1, \
+{table["lambda_s"]:g} s²) and
+bounds from the {escape(table["state_uncertainty_from"])}. “No controller below” is a lower bound of μ for \
+controllers of any order, with these weights, at one frequency and for scalings from \
 e<sup>−15</sup> to e<sup>15</sup>.</p>{rows}{weights}"""
 
 
@@ -281,16 +281,17 @@ def _worst_case(run: dict, fig6: Picture) -> str:
         ],
     )
     left = (
-        f" Left out, as no objective of theirs has μ below 1: {', '.join(run['left_out'])}."
+        f" Left out, because μ is not below 1 for any objective: {', '.join(run['left_out'])}."
         if run["left_out"]
         else ""
     )
     figure = captioned(
         fig6,
         f"<b>Counterpart of Fig. 6.</b> Reference: the filtered yaw rate of {escape(run['drive'])} through "
-        f"W<sub>R</sub>. Disturbance: that drive's nominal error, the yaw rate's times {run['factor']:.2g} "
-        f"(it keeps the DC bound), band-limited noise of power {run['noise_power']:g} before W<sub>n</sub>. "
-        "K<sub>∞</sub> runs without Δ; K<sub>i</sub> and K<sub>is</sub> with the worst Δ found by the lower "
-        f"bound of μ within the band of the data, realised as a stable system of constant size.{left}",
+        f"W<sub>R</sub>. Disturbance: the nominal error of this drive, with that of the yaw rate times "
+        f"{run['factor']:.2g} to keep the DC bound. Noise: band-limited, of power {run['noise_power']:g}, "
+        "before W<sub>n</sub>. K<sub>∞</sub> runs without Δ. K<sub>i</sub> and K<sub>is</sub> run with the "
+        "worst Δ that the lower bound of μ found within the band of the data. This Δ is a stable system of "
+        f"constant size.{left}",
     )
     return figure + measured

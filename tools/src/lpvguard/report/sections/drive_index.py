@@ -122,7 +122,7 @@ def drive_index(summaries: list[DriveSummary]) -> str:
     return f"""<h3>All drives</h3><div id="drive-tools"></div>
 <div class="scroll"><table id="drive-index"><thead><tr>{head}</tr></thead>
 <tbody>{"".join(_row(d) for d in summaries)}</tbody></table></div>
-<p class="note">Course: the largest statistic of all tests over time, as a part of its threshold (dashed); \
-triangles: beyond. Strip: the verdict: {key}. Largest: where the drive came nearest to an alarm, or went \
-farthest beyond. Explained: 1 − var(y − ŷ) / var(y) of the output that the nominal model explains \
+<p class="note">Course: the largest ratio of statistic to threshold of all tests over time. Dashed: the \
+threshold. Triangles: larger values. Strip: the verdict: {key}. Largest: the largest ratio in the drive, \
+above 1 an alarm. Explained: 1 − var(y − ŷ) / var(y) of the output that the nominal model explains \
 least.</p>"""

@@ -224,22 +224,20 @@ def drive_section(summaries: list[DriveSummary], threshold: float) -> str:
     """The section: the index of drives, the key of the maps, then each drive that ``visit`` returned."""
     key = captioned(
         map_key("key"),
-        "<b>How to read the maps.</b> Time runs to the right, a line per bin, DC at the bottom. Each cell is "
-        "one frame judged by the compiled core, drawn over its central half; colour is its margin t* over "
-        f"the threshold {threshold:.4g} (1/{threshold:.4g} = {1 / threshold:.2g} is t* = 1, where the fitted "
-        "bounds just explain the frame). Screened cells counted, but held so little excitation that even a "
-        "vehicle that does not respond would have passed: they are no evidence for the model. Patterned "
-        "cells were not judged, for the reason in the key; blank: no frame. Triangles: alarms, at the end of "
-        "the falsifying frame, pointing back to its cell; from above: alarms of the energy test; "
-        "diamonds above: of the change test. Below: "
-        "speed, with the model's range dashed, and the monitor's verdict. In the alarm tables |E| and |Z| "
-        "are Euclidean norms in output units (energy test, below, between or above its corners: |E| of F e, "
-        "|Z| of F W<sub>Δ</sub> ŷ with forgetting, B<sub>w</sub> is σ, what a restart leaves is "
-        "not shown; the change test has none), and evidence is the margin of a vehicle that does not "
-        "respond. "
-        "Judged seconds lie in a counted frame of any bin, with evidence or "
-        "not; the verdict “valid” asks for evidence within the longest frame, so a drive can be judged all "
-        "along and its verdict still be “not judged”.",
+        "<b>How to read the maps.</b> Time runs to the right. There is one line per bin, with DC at the "
+        "bottom. Each cell is one frame judged by the compiled core, drawn over its central half. The colour "
+        f"is its margin t* over the threshold {threshold:.4g}. The fitted bounds just explain a frame with "
+        f"t* = 1, at 1/{threshold:.4g} = {1 / threshold:.2g}. Dotted cells counted, but had little "
+        "excitation: even a vehicle that does not respond would have passed. They are no evidence for the "
+        "model. Patterned cells were not judged; the key states the reason. Blank: no frame. Triangles at "
+        "the end of a frame: alarms of the frame test, pointing to the cell of the frame. Triangles at the "
+        "top: alarms of the energy test. Diamonds at the top: alarms of the change test. Below: speed (model "
+        "range dashed) and the monitor's verdict. In the alarm tables |E| and |Z| are Euclidean norms in "
+        "output units. For the energy test, |E| is the norm of F e, |Z| that of F W<sub>Δ</sub> ŷ with "
+        "forgetting, and B<sub>w</sub> is σ; the term of a restart is not shown. The change test has no "
+        "norms. Evidence is the margin of a vehicle that does not respond. Judged seconds lie in a counted "
+        "frame of any bin, with or without evidence. The verdict “valid” needs evidence within the longest "
+        "frame, so a drive can be judged all the time with the verdict “not judged”.",
     )
     sections = "".join(d.section for d in summaries)
     return f"<h2>Margin over time and frequency, drive by drive</h2>{drive_index(summaries)}{key}{sections}"

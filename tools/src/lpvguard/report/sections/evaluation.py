@@ -48,11 +48,11 @@ def evaluation_section(evaluation: dict) -> str:
     title, judged = JUDGED[evaluation["mode"]]
     return f"""<h2>{title}</h2>
 <p>{judged} runs through the compiled core with thresholds from
-{escape(evaluation["threshold_rule"])}. Every second of a drive counts, judged or not: in pieces of \
-{PIECE_S:g} s, of which the last
-is as long as its column says, in drives, and in recordings. Rates are per recording and an hour of judged \
-driving. Their intervals are exact (Clopper and Pearson; an hour: Poisson) and over recordings, since \
-alarms of one recording come together. Drives left \
+{escape(evaluation["threshold_rule"])}. False alarms are counted by piece of \
+{PIECE_S:g} s, drive and recording. Every second of a drive counts,
+judged or not; a column states the length of the last piece. Rates are per recording and per hour of judged \
+driving. Their intervals are exact (Clopper-Pearson; per hour: Poisson) over recordings, because \
+alarms of one recording depend on each other. Drives left \
 out: {left_out or "none"}.</p>
 {_claim_table(evaluation)}\
 <h3>False alarms</h3>{_alarm_table(evaluation)}{_drive_table(evaluation)}\
@@ -117,9 +117,9 @@ def _time_to_find(faults: list[dict], within_s: float) -> str:
         return ""
     return captioned(
         time_to_find("f7", faults, within_s),
-        "<b>Time to find.</b> A mark per start in a drive: judged, excited driving from the fault's start to "
-        f"the alarm that it caused. Crosses: not within {within_s:g} s (dashed). Times below "
-        f"{SOONEST_S:g} s stand there. Right: found of all.",
+        "<b>Time to find.</b> One mark per start in a drive: judged, excited driving from the fault's start "
+        f"to the alarm that it caused. Crosses: not found within {within_s:g} s (dashed). Times below "
+        f"{SOONEST_S:g} s are drawn at this value. Right: number found, of all.",
     )
 
 
@@ -133,25 +133,26 @@ def _injected_faults(evaluation: dict) -> str:
     injected = evaluation["injection"]
     times = _time_to_find(evaluation["faults"], injected["within_s"])
     exported = (
-        f"as exported the two thresholds together allow at most {rates[EXPORTED]:g}"
+        f"the thresholds as exported together allow at most {rates[EXPORTED]:g}"
         if rates[EXPORTED] is not None
-        else "of the two thresholds as exported nothing is stated either"
+        else "no rate is stated for the thresholds as exported either"
     )
     tried = len(evaluation["drives"]) - len(evaluation["without_faults"])
     compared = equal_rates({titles[name]: rates[name] for name in (MONITOR, *TESTS)})
     table = _detectors({title: detectors[name] for name, title in titles.items()})
     return f"""<h3>Injected faults</h3>
-<p>Injected into {tried} of {len(evaluation["drives"])} drives, those longer than {injected["shortest_s"]:g} \
-s, from {injected["starts"]} instants of each after {injected["from_s"]:g} s, drawn so that
-{injected["within_s"]:g} s of judged, excited driving follow. A ramp grows for {injected["ramp_s"]:g} s. \
-From the start: once a drive, from its first sample on. Found: the first alarm from then on comes \
-within {injected["within_s"]:g} s of such driving and
-before any that the same detector raises on the untouched drive; an alarm counts when the core says so, \
-which for a frame is after its
-end. A cell: starts from which the fault was found, of all (drives in which from every start), and the \
-median time, a miss counting as
-later than all. Not into {without or "none left"}.</p>{times}{table}
-<p>Both tests at one threshold (an alarm by either counts) and each test alone are compared
+<p>Faults are injected into {tried} of {len(evaluation["drives"])} drives, those longer than \
+{injected["shortest_s"]:g} s. They start at {injected["starts"]} random instants of each after \
+{injected["from_s"]:g} s, with at least
+{injected["within_s"]:g} s of judged, excited driving left. A ramp grows for {injected["ramp_s"]:g} s. \
+“From the start” is once per drive, from its first sample on. A fault is found if the first alarm after its \
+start comes within {injected["within_s"]:g} s of such driving. It must also come
+before any alarm of the same detector on the untouched drive. The time of an alarm is when the core judges; \
+for a frame this is after its
+end. A cell: starts with the fault found, of all starts (drives with the fault found from every start), and \
+the median time; a miss counts as
+the latest time. No faults in: {without or "none"}.</p>{times}{table}
+<p>All tests at one threshold (an alarm of any test counts) and each test alone are compared
 {escape(compared)}; {exported}.</p>"""
 
 
@@ -163,10 +164,10 @@ def _causes(evaluation: dict) -> str:
     table = html_table(CAUSE_HEAD, [[escape(cell) for cell in row] for row in cause_rows(causes)], "words")
     sentences = ". ".join(escape(line[0].upper() + line[1:]) for line in cause_sentences(causes))
     return f"""<h3>Causes named</h3>
-<p>Of every fault found with the thresholds as exported: the cause that the core names 10 s of settled,
-excited driving after the alarm. Not yet: an alarm stood already, or too little such driving followed. An
-interval should hold the fault's mean size from alarm to diagnosis. Two faults at once, a dead zone and an
-output that saturates are no single cause: "other" is right there, and so is a gain whose interval holds the
+<p>For every fault found with the thresholds as exported: the cause that the core names after 10 s of settled,
+excited driving after the alarm. Not yet: there was already an alarm, or too little such driving followed. An
+interval should hold the fault's mean size from alarm to diagnosis. Two faults at once, a dead zone and a
+saturating output are no single cause. For them "other" is right, and so is a gain whose interval holds the
 equivalent gain. {sentences}.</p>{table}"""
 
 
@@ -214,16 +215,17 @@ def _baselines(evaluation: dict) -> str:
 drives by the same
 rule as the monitor with all tests at one threshold. They are compared {escape(compared)}. Their parameters \
 are those
-that find most injected faults, all ways together, then soonest, on the bound-setting and the other \
-calibration drives; the drive under test takes part in
-nothing ({searched}). Best: largest share of starts, then least median; detectors that tie are all named, \
-and nobody where nobody
+that find the most injected faults of all ways, and in a tie the fastest, on the bound-setting and the other \
+calibration drives. The drive under test takes no
+part ({searched}). Best: largest share of starts, then least median. Detectors in a tie are all named; none \
+is named if none
 found a fault. Where the monitor does not lead alone: {"; ".join(lost) or "nowhere"}.</p>
 {table}
-<p>Against each of them alone, over the rows of faults: where the monitor found as many or more, where its \
-median is less or more, where it leads by found and then by median, and on which it is behind.</p>
+<p>The monitor and each single baseline, over the rows of faults: rows with as many found or more, with a \
+smaller or larger median, rows that the monitor leads by found and then by median, and rows where it is \
+behind.</p>
 {against}
-<p>Times from when a fault is refutable: from the first judged instant at which the off-line margin of the \
-faulty record exceeds 1 and that of the untouched record does not. A cell: found of these starts, and the \
-median time, negative where an alarm is sooner.</p>
+<p>Times from the instant at which a fault is refutable. This is the first judged instant at which the \
+off-line margin of the faulty record exceeds 1 and that of the untouched record does not. A cell: found of \
+these starts, and the median time; negative for an earlier alarm.</p>
 {refutable}"""

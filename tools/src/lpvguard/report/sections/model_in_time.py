@@ -41,7 +41,7 @@ def time_section(visits: Visits, stored: StoredIdentification, drives: DriveSet)
     return "<h2>The nominal model in time</h2>" + captioned(
         drawn,
         "<b>Counterpart of Fig. 4.</b> Measured output (solid) and nominal model along the measured speed "
-        "(dashed), below it the nominal error e = y − ŷ on its own scale. Chosen without looking: the "
-        "longest judged, in-range, excited stretch in the lower and in the upper third of the "
+        "(dashed). Below: the nominal error e = y − ŷ with a separate scale. The rule for the choice is "
+        "fixed: the longest judged, in-range, excited stretch in the lower and in the upper third of the "
         "model's speed range. " + " ".join(words),
     )

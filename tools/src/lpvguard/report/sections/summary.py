@@ -190,14 +190,13 @@ def summary_section(stored: StoredIdentification, replayer: Replayer | None, dri
     estimator = drives.reader.estimator
     table = html_table([], _rows(stored, replayer, estimator), "words")
     return f"""<h2>Settings and proofs</h2>{table}
-<p>Each weight lies above its bound at every frequency, proved piece by piece by exact Routh arrays and \
-Bernstein coefficients,
-not on a grid, and proved anew when this page was made (for W<sub>w</sub> and W<sub>Δ</sub>); between bins a \
-bound is log-log
-linear. The worst ratio is how far the weight lies above its bound where it lies highest; the column beside \
-it is a proved lower
+<p>Each weight lies above its bound at every frequency. Exact Routh arrays and Bernstein coefficients prove \
+it piece by piece,
+without a grid. The proof was repeated when this page was made (for W<sub>w</sub> and W<sub>Δ</sub>). \
+Between bins a bound is log-log
+linear. The worst ratio is the largest ratio of the weight to its bound. The next column is a proved lower
 limit for any weight of the same order.
-DC stands at {DC_STAND_IN:g} times the lowest bin's frequency, so “at”
+DC is drawn at {DC_STAND_IN:g} times the lowest bin's frequency, so “at”
 {estimator.omega[1] * DC_STAND_IN:.3g} rad/s means DC.</p>\
 {_proof_table(stored)}{_window_error(stored, estimator)}"""
 
@@ -213,13 +212,13 @@ def _window_error(stored: StoredIdentification, estimator: Estimator) -> str:
         [row("median", "window_error_median"), row(f"{PERCENTILE}th percentile", "window_error_percentile")],
     )
     return f"""<h3>Window error</h3>{table}
-<p class="note">|ξ̂<sub>s</sub> − ξ<sub>s</sub>| / |ξ<sub>s</sub>| when a known ξ<sub>s</sub> that drives \
-the nominal model's state is found
-back from such frames of that state (made-up data; largest over {SPEEDS} frozen speeds). It is the error of \
-class S2 and of any LFT that inverts
-dynamics when they are given frames of this estimator, and tells whether these frames are long enough for \
-that; class S1
-compares spectra of e and ŷ, inverts nothing and does not have it.</p>"""
+<p class="note">|ξ̂<sub>s</sub> − ξ<sub>s</sub>| / |ξ<sub>s</sub>|, where a known simulated ξ<sub>s</sub> \
+drives the nominal model's state and
+ξ̂<sub>s</sub> is its estimate from frames of that state (largest over {SPEEDS} frozen speeds). It is the \
+error of class S2, and of any LFT that inverts
+dynamics, with frames of this estimator. It shows whether these frames are long enough for these classes. \
+Class S1
+compares spectra of e and ŷ. It inverts no dynamics and does not have this error.</p>"""
 
 
 def _limit(value: float | str) -> str:

@@ -26,10 +26,10 @@ def tradeoff_section(folder: Path) -> str:
     )
     front = captioned(
         tradeoff_front("t", tradeoff),
-        "Left: the optimum over speeds for uniform ceilings on ν, and the level below which no controller "
-        "goes. Right: ceiling, uncertainty and disturbance bound of the best candidate and of the project's "
-        f"setting. Bounds from the {escape(tradeoff['frames'])}; “–”: the floor alone ruled the "
-        "candidate out.",
+        "Left: the optimum over speeds for uniform ceilings on ν, and the lower bound for every controller. "
+        "Right: ceiling, uncertainty and disturbance bound of the best candidate and of the project's "
+        f"setting. Bounds from the {escape(tradeoff['frames'])}. “–”: the lower bound alone excluded the "
+        "candidate.",
     )
     return f"""<h2>Trade-off between uncertainty, disturbance and performance</h2>
 <p>{escape(tradeoff["sentence"])}</p>{front}{rows}"""

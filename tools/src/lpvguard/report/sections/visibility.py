@@ -27,9 +27,9 @@ def _excitation(visits: Visits, drawn: IdentificationPictures) -> str:
     return captioned(
         drawn.excitation("f5", bin_of, Z),
         f"<b>Excitation.</b> Largest and median |Z|, the nominal output in a frame, over the {len(bin_of)} "
-        "counted frames of all drives, with the disturbance bound to compare: where the median lies below "
-        f"it, most frames say little about the model. Lower panel: counted frames a bin{overlap}. Left-most: "
-        f"DC. Unit of |Z|: {escape(unit)}.",
+        "counted frames of all drives, and the disturbance bound. If the median lies below the bound, most "
+        f"frames say little about the model. Lower panel: counted frames per bin{overlap}. Left end: DC. "
+        f"Unit of |Z|: {escape(unit)}.",
     )
 
 
@@ -83,19 +83,19 @@ def _smallest_visible(seen: dict, estimator: Estimator, unit: str) -> str:
 exceeds the threshold
 {seen["threshold"]:.4g} exactly when g &gt; threshold / t*(−Z, Z); with one output, when
 g|Z| &gt; threshold · (B<sub>w</sub> + W<sub>Δ</sub>|Z|). A delay τ has g = |1 − e<sup>−jωτ</sup>|. Z is \
-taken at the
-{seen["percentile"]}th percentile of what the bound-setting and calibration drives met in the cell (over at \
+the
+{seen["percentile"]}th percentile of the bound-setting and calibration drives in the cell (over at \
 most
 {seen["sampled_frames"]} of its frames), so one counted frame in {100 // (100 - seen["percentile"])} is at \
 least
-as strong, and at the strongest frame met. A smaller fault is invisible unless the excitation is stronger \
-than that, or the vehicle's ordinary
-error happens to add to it; {stated}. “–”: no frame counted there.</p>{_overall(seen)}
+as strong. A second table takes Z from the strongest frame. A smaller fault is invisible, unless the \
+excitation is stronger or the vehicle's ordinary
+error adds to it; {stated}. “–”: no frame counted there.</p>{_overall(seen)}
 <h3>Smallest visible gain error, per speed and bin, {seen["percentile"]}th percentile</h3>{gain}
 <h3>At the strongest excitation</h3>{gain_strongest}\
-<p class="note">Last line: threshold · W<sub>Δ</sub>, below
-which a gain error stays invisible however strong the excitation. Above 1
- not even a vehicle that does not respond at all would be noticed in that bin.</p>
+<p class="note">Last line: threshold · W<sub>Δ</sub>. A smaller
+gain error stays invisible with any excitation. If the value is above 1,
+ even a vehicle that does not respond is not noticed in that bin.</p>
 <h3>Smallest visible delay [s], per speed and bin, {seen["percentile"]}th percentile</h3>{delay}
 <h3>At the strongest excitation</h3>{delay_strongest}
 <p class="note">“–”: no delay is large enough (g above 2), DC, or no frame.</p>
