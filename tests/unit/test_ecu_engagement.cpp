@@ -340,6 +340,7 @@ TEST_CASE("a limit that evidence has widened narrows where the evidence lapses, 
         return;
     }
     const lpvg_real_t before = bench.ecu.share;
+    CHECK(static_cast<double>(before) == Approx(1.0 - 0.75 * static_cast<double>(tick_us) / static_cast<double>(LPVG_ECU_AGE_US)));
     for (int i = 1; i < static_cast<int>(LPVG_ECU_PROBE_US / tick_us); ++i) {
         ++bench.ecu.control.limited;  // as if the limit had cut the demand
         bench.step();
