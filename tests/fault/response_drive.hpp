@@ -77,6 +77,12 @@ public:
         return engaged;
     }
 
+    // Whether the demand is larger than that of a probing engagement.
+    bool beyond_probing() const {
+        const auto probing = static_cast<double>(LPVG_ECU_PROBE_SHARE) * static_cast<double>(bench.ecu.kept.u_max);
+        return std::fabs(static_cast<double>(bench.ecu.control.u[0])) > 1.001 * probing;
+    }
+
     Bench bench;
     double response = 1.0;  // of the truck to the demand, over the healthy one
     std::function<double(double)> command = [](double t) { return sines(0.06, t); };  // yaw rate [rad/s] over time [s]

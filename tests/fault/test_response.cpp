@@ -137,3 +137,24 @@ TEST_CASE("what a constant command shows of the response, and the table of it is
 TEST_CASE("a vehicle whose response is wrong is not engaged for long, whatever came before", "[fault][ecu][REQ-ECU-17][REQ-ECU-18]") {
     MarkedTable("responses", "test_response").require(table(), "LPVGUARD_RESPONSES");
 }
+
+TEST_CASE("a response that goes wrong while nothing excites it meets a small demand", "[fault][ecu][REQ-ECU-17]") {
+    constexpr double quiet_s = 60.0;
+    for (const double speed_mps : speeds_mps) {
+        for (const double response : responses) {
+            ResponseDrive drive(truck(), speed_mps, 1U);
+            drive.command = [](double t) { return t < 30.0 || t >= 30.0 + quiet_s ? ResponseDrive::sines(0.06, t) : 0.0; };
+            drive.run(before_steps + 3'000);
+            drive.response = response;
+            drive.run(3'000);
+            int engaged = 0, strong = 0;
+            for (int k = 0; k < 2'000; ++k) {
+                drive.step();
+                engaged += drive.bench.engaged() ? 1 : 0;
+                strong += drive.bench.engaged() && drive.beyond_probing() ? 1 : 0;
+            }
+            CAPTURE(speed_mps, response, engaged, strong);
+            CHECK((response == 1.0 ? engaged == 2'000 && strong > 500 : engaged <= 300 && strong <= 100));
+        }
+    }
+}

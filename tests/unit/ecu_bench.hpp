@@ -16,7 +16,7 @@
 
 constexpr int64_t tick_us = 10'000;
 
-const lpvg_ecu_config_t bench_config = {true, 0U, 0U, false, {2.07F, 5.0F, 1.5F, 0.15F, 100U}, {0.14F, 0.04F, 30U, 0.32F}};
+const lpvg_ecu_config_t bench_config = {true, 0U, 0U, true, {2.07F, 5.0F, 1.5F, 0.15F, 100U}, {0.14F, 0.04F, 30U, 0.32F}};
 
 struct BenchReport {
     float demand = NAN, statistic = NAN, verdict = NAN, supervision = NAN, engagement = NAN;

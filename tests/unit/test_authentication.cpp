@@ -424,9 +424,7 @@ TEST_CASE("an attacker who knows counter, checksum and every frame sent gets no 
 TEST_CASE("the firmware refuses a replayed command in one of five frames, counts it, and obeys the genuine ones alone",
           "[unit][auth][ecu][REQ-AUTH-2][REQ-AUTH-4]") {
     const bool whole = GENERATE(true, false);  // with its authenticator, or alone
-    lpvg_ecu_config_t with = bench_config;
-    with.authenticated = true;
-    Bench bench(with);
+    Bench bench;
     Firmware attacked(bench, test_key());
     uint32_t replays = 0U;
     for (int i = 0; i < 2'000; ++i) {
@@ -450,7 +448,9 @@ TEST_CASE("the firmware refuses a replayed command in one of five frames, counts
 }
 
 TEST_CASE("a firmware without a key obeys every command and says so in each report", "[unit][auth][ecu][REQ-AUTH-4]") {
-    Bench bench;
+    lpvg_ecu_config_t keyless = bench_config;
+    keyless.authenticated = false;
+    Bench bench(keyless);
     Firmware firmware(bench, nullptr);
     for (int i = 0; i < 300; ++i) {
         firmware.step();

@@ -318,6 +318,44 @@ TEST_CASE("a demand that rests at its limit without evidence widens the limit by
     CHECK(steps == static_cast<int>(LPVG_ECU_PROBE_US / tick_us));
 }
 
+TEST_CASE("a limit that evidence has widened narrows where the evidence lapses, unless the demand rests at it", "[unit][ecu][REQ-ECU-17]") {
+    lpvg_ecu_config_t config = bench_config;
+    const bool releases = GENERATE(true, false);
+    config.report_only = releases ? 0U : LPVG_ECU_CAUSE_INVALID;
+    Bench bench(config);
+    bench.run_until_engaged();
+    bench.run(200);
+    REQUIRE(bench.ecu.share == lpvg_real_t(1));
+    bench.command = 0.0F;
+    int lasting = 0;
+    for (; bench.ecu.watch.evidence && lasting < 20'000; ++lasting) {
+        bench.step();
+        REQUIRE((bench.ecu.share == lpvg_real_t(1)) == (bench.ecu.watch.evidence || !releases));
+    }
+    CAPTURE(lasting);
+    REQUIRE_FALSE(bench.ecu.watch.evidence);
+    if (!releases) {
+        bench.run(600);
+        CHECK(bench.ecu.share == lpvg_real_t(1));
+        return;
+    }
+    const lpvg_real_t before = bench.ecu.share;
+    CHECK(static_cast<double>(before) == Approx(1.0 - 0.75 * static_cast<double>(tick_us) / static_cast<double>(LPVG_ECU_AGE_US)));
+    for (int i = 1; i < static_cast<int>(LPVG_ECU_PROBE_US / tick_us); ++i) {
+        ++bench.ecu.control.limited;  // as if the limit had cut the demand
+        bench.step();
+        REQUIRE(bench.ecu.share == before);
+    }
+    const auto least = static_cast<double>(LPVG_ECU_PROBE_SHARE);
+    for (int i = 1; bench.ecu.share > static_cast<lpvg_real_t>(LPVG_ECU_PROBE_SHARE); ++i) {
+        bench.step();
+        const double fallen = (1.0 - least) * i * static_cast<double>(tick_us) / static_cast<double>(LPVG_ECU_AGE_US);
+        REQUIRE(static_cast<double>(bench.ecu.share) == Approx(std::fmax(static_cast<double>(before) - fallen, least)).margin(1e-4));
+    }
+    bench.run(10);
+    CHECK(bench.ecu.share == static_cast<lpvg_real_t>(LPVG_ECU_PROBE_SHARE));
+}
+
 TEST_CASE("a lock ends by acknowledging whether or not engagement is asked for", "[unit][ecu][REQ-ECU-12]") {
     Bench bench = engaged_bench();
     bench.lock();

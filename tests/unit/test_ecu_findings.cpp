@@ -103,6 +103,22 @@ TEST_CASE("every finding has the failure mode of its cause, and the count of occ
     }
 }
 
+TEST_CASE("a missing key is the least grave finding, and DM1 says it", "[unit][ecu][REQ-AUTH-4][REQ-J1939-10]") {
+    lpvg_ecu_config_t config = bench_config;
+    config.authenticated = false;
+    Bench bench(config);
+    bench.run_until_engaged();
+    bench.run(100);
+    CHECK(bench.engaged());
+    CHECK(bench.spn == LPVG_ECU_SPN_KEYLESS);
+    CHECK(bench.fmi == LPVG_CAN_FMI_CONDITION);
+    CHECK(bench.lamps == LPVG_CAN_LAMP_AMBER);
+    lpvg_ecu_t& ecu = bench.ecu;
+    CHECK(spns(findings_of(ecu)) == std::vector<uint32_t>{LPVG_ECU_SPN_KEYLESS});
+    ecu.report.verdict = lpvg_verdict_degraded;
+    CHECK(spns(findings_of(ecu)) == std::vector<uint32_t>{LPVG_ECU_SPN_DEGRADED, LPVG_ECU_SPN_KEYLESS});
+}
+
 TEST_CASE("the freeze frame has the caller's time, behind a jump too", "[unit][ecu][REQ-J1939-10]") {
     Bench bench;
     bench.run_until_engaged();

@@ -241,6 +241,86 @@ TEST_CASE("of equal records the first ranks first", "[unit][REQ-EVID-2]") {
     }
 }
 
+TEST_CASE("the lowest record goes first, an equal one never, and ratios count to eight units of the last place", "[unit][REQ-EVID-2]") {
+    Ring ring;
+    ring.record(lpvg_evidence_near, 2.0f);
+    ring.record(lpvg_evidence_degraded, 1.5f);
+    ring.record(lpvg_evidence_degraded, 1.5f);  // in the place of the first
+    CHECK((lpvg_evidence_number(&ring.object, 0U) + lpvg_evidence_number(&ring.object, 1U)) == 5U);
+    ring.record(lpvg_evidence_degraded, 1.5f);
+    CHECK((lpvg_evidence_number(&ring.object, 0U) + lpvg_evidence_number(&ring.object, 1U)) == 5U);
+    Ring fine;
+    const float unit = std::numeric_limits<float>::epsilon();
+    fine.record(lpvg_evidence_degraded, 1.5f);
+    fine.record(lpvg_evidence_degraded, 1.5f + 4.0f * unit);
+    CHECK(lpvg_evidence_number(&fine.object, 0U) == 1U);
+    fine.record(lpvg_evidence_degraded, 1.5f + 8.0f * unit);
+    CHECK(lpvg_evidence_number(&fine.object, 0U) == 3U);
+}
+
+TEST_CASE("a near alarm needs the ratio of one, and rises alone", "[unit][REQ-EVID-2]") {
+    Ring ring;
+    ring.take(1, lpvg_evidence_near, 0.25f);
+    ring.take(after + 1, lpvg_evidence_none, 0.25f);
+    REQUIRE(ring.object.numbered == 0U);
+    ring.take(1, lpvg_evidence_none, 0.5f);
+    ring.take(after, lpvg_evidence_none, 0.5f);
+    REQUIRE(ring.object.numbered == 1U);
+    CHECK(word(ring.bytes(1U), 24) == after + 3U);
+    ring.take(60, lpvg_evidence_none, 0.375f);
+    ring.take(1, lpvg_evidence_invalid, 0.25f);  // what was larger before the event is not the record's
+    ring.take(after, lpvg_evidence_invalid, -1.0f);
+    CHECK(word(ring.bytes(2U), 32) == 0x3E800000U);
+    ring.take(60, lpvg_evidence_degraded, -0.5f);
+    REQUIRE(ring.object.numbered == 2U);  // the level fell
+    ring.take(1);
+    ring.take(after + 1, lpvg_evidence_degraded, -0.5f);
+    CHECK(word(ring.bytes(3U), 32) == 0U);
+}
+
+TEST_CASE("what a record says is its own configuration", "[unit][REQ-EVID-1]") {
+    Ring ring;
+    ring.config.inputs = 2U;
+    ring.config.scale[channels] = 7.0f;  // of no channel
+    REQUIRE(lpvg_evidence_init(&ring.object, &ring.config) == lpvg_status_ok);
+    const auto take = [&](lpvg_evidence_level_t level) {
+        float values[channels];
+        for (std::size_t c = 0; c < channels; ++c) {
+            values[c] = static_cast<float>(10U * c + 1U) * ring.config.scale[c];
+        }
+        REQUIRE(lpvg_evidence_take(&ring.object, ring.k++ * period_us, values, level, 1.0f) == lpvg_status_ok);
+    };
+    take(lpvg_evidence_invalid);
+    for (uint32_t i = 0; i < after; ++i) {
+        take(lpvg_evidence_none);
+    }
+    const Bytes bytes = ring.bytes(1U);
+    CHECK(bytes[30] == 2U);
+    CHECK(word(bytes, 60) == 0U);
+    for (uint32_t c = 0; c < channels; ++c) {
+        CHECK(value(bytes, 5U, c) == static_cast<int16_t>(10U * c + 1U));
+    }
+    REQUIRE(lpvg_evidence_init(&ring.object, &ring.config) == lpvg_status_ok);
+    CHECK(lpvg_evidence_number(&ring.object, 0U) == 0U);
+
+    std::vector<int16_t> buffer(3U * samples * LPVG_EVIDENCE_CHANNELS_MAX);
+    lpvg_evidence_config_t config = ring.config;
+    config.buffer = buffer.data();
+    config.channels = LPVG_EVIDENCE_CHANNELS_MAX;
+    std::fill(std::begin(config.scale), std::end(config.scale), 0.5f);
+    config.period_us = 3U;
+    REQUIRE(lpvg_evidence_init(&ring.object, &config) == lpvg_status_ok);
+    const float values[LPVG_EVIDENCE_CHANNELS_MAX] = {};
+    REQUIRE(lpvg_evidence_take(&ring.object, 0, values, lpvg_evidence_none, 0.0f) == lpvg_status_ok);
+    REQUIRE(lpvg_evidence_take(&ring.object, 4, values, lpvg_evidence_none, 0.0f) == lpvg_status_ok);  // no gap
+    for (int64_t t = 7; t < 7 + 3 * int64_t{after} + 3; t += 3) {
+        REQUIRE(lpvg_evidence_take(&ring.object, t, values, lpvg_evidence_invalid, 1.0f) == lpvg_status_ok);
+    }
+    const Bytes wide = ring.bytes(1U);
+    CHECK(word(wide, 20) == after + 3U);
+    CHECK(word(wide, 72) == 0x3F000000U);
+}
+
 TEST_CASE("a gap ends a record or empties the ring", "[unit][REQ-EVID-1]") {
     Ring ring;
     ring.take(50);
@@ -256,6 +336,8 @@ TEST_CASE("a gap ends a record or empties the ring", "[unit][REQ-EVID-1]") {
     CHECK(word(bytes, 20) == 9U);
     CHECK(word(bytes, 24) == 6U);
     CHECK(ring.object.slot[ring.object.active].count == 1U);
+    ring.take(2 * after);  // nothing is pending behind it
+    CHECK(ring.object.numbered == 1U);
     ++ring.k;
     ring.take(3);
     ring.take(1, lpvg_evidence_invalid, 1.0f);
@@ -287,13 +369,39 @@ TEST_CASE("a gap ends a record or empties the ring", "[unit][REQ-EVID-1]") {
     CHECK(lpvg_evidence_take(&ring.object, INT64_MAX, values, lpvg_evidence_none, 0.0f) == lpvg_status_out_of_order);
 }
 
+TEST_CASE("a gap in the last step of a record, and behind a full ring or a freed slot", "[unit][REQ-EVID-1][REQ-EVID-2]") {
+    Ring ring;
+    ring.take(150);
+    ++ring.k;
+    ring.take(10);
+    ring.take(1, lpvg_evidence_invalid, 1.0f);
+    ring.take(after - 1);
+    ++ring.k;
+    ring.take(1);
+    REQUIRE(ring.object.numbered == 1U);
+    const Bytes bytes = ring.bytes(1U);
+    CHECK(word(bytes, 20) == 10U + after);
+    CHECK(value(bytes, 0U, 0U) == 151);
+    CHECK(value(bytes, 9U + after, 0U) == 160 + static_cast<int>(after));
+    ring.record(lpvg_evidence_invalid, 1.5f);
+    ring.object.remaining = 0U;
+    REQUIRE(lpvg_evidence_release(&ring.object, 1U));
+    ring.take(1);
+    ring.take(1, lpvg_evidence_degraded, 1.0f);
+    ++ring.k;
+    ring.take(1);  // every slot is known: the freed one is the next ring
+    CHECK(lpvg_evidence_number(&ring.object, 0U) == 2U);
+    CHECK(lpvg_evidence_number(&ring.object, 1U) == 3U);
+}
+
 TEST_CASE("numbers that are none, too large or between bits are kept as defined", "[unit][REQ-EVID-1]") {
     Ring ring;
     ring.config.scale[0] = 1.0f;
     REQUIRE(lpvg_evidence_init(&ring.object, &ring.config) == lpvg_status_ok);
     const float inf = std::numeric_limits<float>::infinity(), nan = std::numeric_limits<float>::quiet_NaN();
-    const float rows[][2] = {{nan, -32768.0f}, {inf, 32767.0f}, {-inf, -32767.0f}, {40000.0f, 32767.0f}, {-40000.0f, -32767.0f},
-                             {1.5f, 2.0f},     {-1.5f, -1.0f},  {1.4f, 1.0f},      {-1.4f, -1.0f},       {0.0f, 0.0f}};
+    const float rows[][2] = {{nan, -32768.0f},       {inf, 32767.0f},       {-inf, -32767.0f},     {40000.0f, 32767.0f},
+                             {-40000.0f, -32767.0f}, {32766.25f, 32766.0f}, {32767.75f, 32767.0f}, {1.5f, 2.0f},
+                             {-1.5f, -1.0f},         {1.4f, 1.0f},          {-1.4f, -1.0f},        {0.0f, 0.0f}};
     int64_t t = INT64_MIN;
     for (const auto& row : rows) {
         const float values[channels] = {row[0]};
@@ -308,7 +416,7 @@ TEST_CASE("numbers that are none, too large or between bits are kept as defined"
     }
     const Bytes bytes = ring.bytes(1U);
     CHECK(word(bytes, 32) == 0U);
-    for (uint32_t i = 0; i < 10U; ++i) {
+    for (uint32_t i = 0; i < std::size(rows); ++i) {
         CHECK(value(bytes, i, 0U) == static_cast<int16_t>(rows[i][1]));
     }
 }
@@ -399,12 +507,48 @@ TEST_CASE("the newer of two stored records counts, also where the sequence overf
         }
     };
     lpvg_evidence_stored_t found{};
-    for (const auto& [first, second, newer] :
-         {std::tuple<uint32_t, uint32_t, int>{4U, 5U, 1}, {5U, 4U, 0}, {UINT32_MAX, 0U, 1}, {0U, UINT32_MAX, 0}, {7U, 7U, 1}}) {
+    for (const auto& [first, second, newer] : {std::tuple<uint32_t, uint32_t, int>{4U, 5U, 1},
+                                               {5U, 4U, 0},
+                                               {UINT32_MAX, 0U, 1},
+                                               {0U, UINT32_MAX, 0},
+                                               {7U, 7U, 1},
+                                               {5U, 0x80000004U, 1},
+                                               {5U, 0x80000005U, 0}}) {
         put(0U, first);
         put(1U, second);
         REQUIRE(memory.stored(&found) == lpvg_status_ok);
         CHECK(found.area == newer);
+    }
+    for (const uint8_t only : {0U, 1U}) {  // an area without a record is no newer one, whatever the number of the other
+        memory = Memory(capacity_of(ring));
+        put(only, 0x80000001U);
+        REQUIRE(memory.stored(&found) == lpvg_status_ok);
+        CHECK(found.area == only);
+    }
+}
+
+TEST_CASE("a stored record has the magic of its head, and a byte at least", "[unit][REQ-EVID-3]") {
+    struct Case {
+        uint32_t magic, size;
+        bool whole;
+    };
+    for (const auto& [magic, size, whole] : {Case{0x5356504CU, 5U, true}, {0x5356504DU, 5U, false}, {0x5356504CU, 4U, false}}) {
+        Bytes area;
+        const auto add = [&](uint32_t number) {
+            for (uint32_t i = 0; i < 4U; ++i) {
+                area.push_back(static_cast<uint8_t>(number >> (8U * i)));
+            }
+        };
+        add(magic);
+        add(9U);
+        add(size);
+        add(crc(area, 12U));
+        const Bytes one = {0x5AU};
+        area.insert(area.end(), one.begin(), size > 4U ? one.end() : one.begin());
+        add(size > 4U ? crc(one, 1U) : 0U);  // that of nothing is 0
+        lpvg_evidence_stored_t found{};
+        CAPTURE(magic, size);
+        CHECK((lpvg_evidence_stored(area.data(), area.data(), area.size(), &found) == lpvg_status_ok) == whole);
     }
 }
 
@@ -418,7 +562,16 @@ TEST_CASE("a record that is gone while it is written leaves the one before", "[u
     lpvg_evidence_writer_t writer{};
     REQUIRE(lpvg_evidence_write(&writer, &ring.object, 1U, &newest) == lpvg_status_ok);
     lpvg_evidence_chunk_t chunk{};
+    CHECK_FALSE(lpvg_evidence_write_next(&writer, nullptr));
     REQUIRE(lpvg_evidence_write_next(&writer, &chunk));
+    lpvg_evidence_writer_t same = writer;
+    CHECK(lpvg_evidence_write(&same, &ring.object, 2U, &newest) == lpvg_status_bad_value);
+    CHECK(same.step == writer.step);
+    REQUIRE(lpvg_evidence_write_next(&same, &chunk));
+    CHECK((chunk.offset == LPVG_EVIDENCE_HEAD && chunk.size == LPVG_EVIDENCE_CHUNK));
+    CHECK(lpvg_evidence_read(&writer.reader, nullptr, 1U) == 0U);
+    CHECK(writer.reader.offset == 0U);
+    chunk = {0U, LPVG_EVIDENCE_HEAD, {}, 1U};
     CHECK((chunk.offset == 0U && chunk.size == LPVG_EVIDENCE_HEAD && chunk.area == 1U));
     REQUIRE(lpvg_evidence_release(&ring.object, 1U));
     CHECK_FALSE(lpvg_evidence_write_next(&writer, &chunk));
@@ -470,6 +623,22 @@ TEST_CASE("a tester lists the records and uploads one", "[unit][REQ-EVID-4]") {
     CHECK(ask({0x37, 0x00}) == Bytes{0x7F, 0x37, 0x13});
     CHECK(ask({0x37}) == Bytes{0x77});
     CHECK(ask({0x36, counter}) == Bytes{0x7F, 0x36, 0x24});
+    ring.object.numbered = 0x01020303U;
+    REQUIRE(ring.record(lpvg_evidence_invalid, 2.0f) == 0x01020304U);
+    const Bytes first = ring.bytes(0x01020304U);
+    for (int i = 0; i < 2; ++i) {  // again from the start
+        REQUIRE(ask({0x35, 0, 0x44, 1, 2, 3, 4, 0, 0, 0, 0}) == Bytes{0x75, 0x20, 0x00, 66});
+        CHECK(ask({0x36, 0x00}) == Bytes{0x7F, 0x36, 0x73});
+        const Bytes block = ask({0x36, 0x01});
+        REQUIRE(block.size() == LPVG_EVIDENCE_CHUNK + 2U);
+        CHECK(std::equal(block.begin() + 2, block.end(), first.begin()));
+        CHECK(ask({0x36, 0x03}) == Bytes{0x7F, 0x36, 0x73});
+    }
+    CHECK(ask({0x37}) == Bytes{0x77});
+    CHECK(ask({0x36, 0x02}) == Bytes{0x7F, 0x36, 0x24});
+    CHECK(ask({0x37, 0x00}) == Bytes{0x7F, 0x37, 0x13});
+    CHECK(ask({0x36, 0x02}) == Bytes{0x7F, 0x36, 0x24});
+    CHECK(ask({0x22, 0x4C, 0x03, 0x00}) == Bytes{0x7F, 0x22, 0x13});
     CHECK(ask({0x22, 0x4C, 0x04}) == Bytes{0x7F, 0x22, 0x31});
     CHECK(ask({0x22, 0x4D, 0x03}) == Bytes{0x7F, 0x22, 0x31});
     CHECK(ask({0x22, 0x4C}) == Bytes{0x7F, 0x22, 0x13});
@@ -497,13 +666,20 @@ TEST_CASE("settings outside their range, NULL and missing init are refused", "[u
     CHECK(refused([](C c) { c.after = c.samples; }));
     CHECK(refused([](C c) { c.period_us = 0U; }));
     CHECK(refused([](C c) { c.period_us = 1'000'000'001U; }));
-    CHECK(refused([](C c) { c.channels = 2U; }));
-    CHECK(refused([](C c) { c.channels = LPVG_EVIDENCE_CHANNELS_MAX + 1U; }));
+    for (const uint8_t few : {0U, 1U, 2U}) {
+        CHECK(refused([=](C c) { c.channels = few; }));
+    }
+    CHECK(refused([](C c) { c.scale[0] = 0.0f; }));
+    CHECK(refused([](C c) {
+        std::fill(std::begin(c.scale), std::end(c.scale), 1.0f);
+        c.channels = LPVG_EVIDENCE_CHANNELS_MAX + 1U;
+    }));
     CHECK(refused([](C c) { c.inputs = 0U; }));
     CHECK(refused([](C c) { c.inputs = 3U; }));
     CHECK(refused([](C c) { c.slots = 1U; }));
     CHECK(refused([](C c) { c.slots = LPVG_EVIDENCE_SLOTS_MAX + 1U; }));
-    for (const float wrong : {0.0f, -1.0f, std::numeric_limits<float>::infinity(), std::numeric_limits<float>::quiet_NaN(), 1e-45f}) {
+    for (const float wrong :
+         {0.0f, -0.5f, -1.0f, std::numeric_limits<float>::infinity(), std::numeric_limits<float>::quiet_NaN(), 1e-45f}) {
         CHECK(refused([&](C c) { c.scale[3] = wrong; }));
     }
     CHECK(std::memcmp(&before, &ring.object, sizeof before) == 0);
@@ -516,6 +692,13 @@ TEST_CASE("settings outside their range, NULL and missing init are refused", "[u
     CHECK(lpvg_evidence_init(&ring.object, &config) == lpvg_status_ok);
     config.channels = 3U;
     config.inputs = 1U;
+    config.after = config.slots;
+    config.period_us = 1U;
+    config.scale[2] = 3.4e-39f;  // its inverse is a number, twice of it is none
+    CHECK(lpvg_evidence_init(&ring.object, &config) == lpvg_status_ok);
+    std::fill(std::begin(config.scale), std::end(config.scale), 1.0f);
+    config.channels = LPVG_EVIDENCE_CHANNELS_MAX;
+    config.inputs = LPVG_EVIDENCE_CHANNELS_MAX - 2U;
     CHECK(lpvg_evidence_init(&ring.object, &config) == lpvg_status_ok);
     CHECK(lpvg_evidence_init(nullptr, &config) == lpvg_status_bad_argument);
     CHECK(lpvg_evidence_init(&ring.object, nullptr) == lpvg_status_bad_argument);

@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <cstring>
 #include <vector>
 
 #include "lpvguard/watch.h"
@@ -184,6 +185,11 @@ TEST_CASE("the largest gain is the certificate's, or the healthy one, or the out
     set_healthy(0U, 0.7);
     lpvg_watch_limits(&limits, &coeff);
     CHECK(limits.gain[0] == lpvg_real_t(1));
+    coeff.reals.W_certificate[1][0] = lpvg_real_t(0.25);
+    coeff.reals.W_certificate[2][LPVG_NDELTA - 1] = lpvg_real_t(0.5);
+    lpvg_watch_limits(&limits, &coeff);
+    CHECK(limits.gain[0] == lpvg_real_t(0.25));
+    CHECK(limits.gain[1] == (LPVG_NDELTA > 1 ? lpvg_real_t(0.5) : lpvg_real_t(0.25)));
 }
 
 TEST_CASE("the limits are those of their formulas", "[unit][watch][REQ-ECU-17]") {
@@ -195,6 +201,9 @@ TEST_CASE("the limits are those of their formulas", "[unit][watch][REQ-ECU-17]")
         }
     }
     coeff.reals.change_threshold = lpvg_real_t(0.3);
+    for (std::size_t b = 0; b < LPVG_NBANDS; ++b) {
+        coeff.reals.energy_forget[b] = lpvg_real_t(0.01) * static_cast<lpvg_real_t>(1U + b * b);
+    }
     for (std::size_t j = 0; j < ny; ++j) {
         coeff.reals.change_unit[j][0] = lpvg_real_t(0.5);
         coeff.reals.change_unit[j][1] = lpvg_real_t(0.25);
@@ -240,4 +249,60 @@ TEST_CASE("what is not watched neither violates nor is evidence, and what is not
         (void)damaged.step(1.0, 0.0);
         CHECK((damaged.watch.violated || k < 100));
     }
+}
+
+TEST_CASE("a violation is beyond both limits, to the last digit", "[unit][watch][REQ-ECU-17]") {
+    struct Case {
+        double disturbance, product;
+        bool violated;
+    };
+    // With Q = 4 the limit is twice the disturbance, and what is looked for at most is 10.
+    constexpr Case cases[] = {{1.0, 2.0, false}, {1.0, 2.5, true}, {5.0, 11.0, false}, {6.0, 13.0, false}, {4.0, 9.0, true}};
+    for (const Case& each : cases) {
+        for (std::size_t m = 0; m < LPVG_WATCH_MEMORIES; ++m) {
+            Vehicle vehicle;
+            vehicle.share = 0.0;
+            (void)vehicle.step(0.0, 0.0);
+            const bool lasting = m + 1U == LPVG_WATCH_MEMORIES;
+            const auto far = lpvg_real_t(100), near = static_cast<lpvg_real_t>(each.disturbance);
+            std::fill(std::begin(vehicle.limits.gain), std::end(vehicle.limits.gain), lpvg_real_t(0));
+            std::fill(std::begin(vehicle.limits.disturbance), std::end(vehicle.limits.disturbance), lasting ? far : near);
+            std::fill(std::begin(vehicle.limits.slow_disturbance), std::end(vehicle.limits.slow_disturbance), lasting ? near : far);
+            std::fill(std::begin(vehicle.limits.forget), std::end(vehicle.limits.forget), lpvg_real_t(0));
+            vehicle.watch.P[m][ny - 1U] = static_cast<lpvg_real_t>(each.product);
+            vehicle.watch.Q[m][ny - 1U] = lpvg_real_t(4);
+            (void)vehicle.step(0.0, 0.0);
+            CAPTURE(m, each.disturbance, each.product);
+            CHECK(vehicle.watch.violated == each.violated);
+            CHECK(vehicle.watch.evidence == (each.disturbance < 2.0));
+        }
+    }
+}
+
+TEST_CASE("the response is that of the demand less the offset", "[unit][watch][REQ-ECU-17]") {
+    lpvg_coeff_t coeff = lpvg_coeff;
+    coeff.reals.input_offset[0] = lpvg_real_t(0.5);
+    Vehicle vehicle(coeff);
+    int wrong = 0;
+    for (int k = 0; k < 1000; ++k) {
+        wrong += vehicle.step(0.5 + std::sin(0.02 * k), 0.9 * static_cast<double>(vehicle.limits.gain[0])) ? 0 : 1;
+    }
+    CHECK(wrong == 0);
+}
+
+TEST_CASE("a start takes over the model, and nothing else", "[unit][watch][REQ-ECU-17]") {
+    lpvg_model_t model{};
+    const lpvg_real_t nothing[LPVG_NU + LPVG_NY] = {};
+    lpvg_model_start(&model, &lpvg_coeff, nothing, nothing);
+    for (int k = 0; k < 100; ++k) {
+        const lpvg_real_t u[LPVG_NU] = {static_cast<lpvg_real_t>(std::sin(0.1 * k))};
+        lpvg_model_advance(&model, &lpvg_coeff, lpvg_real_t(15), u);
+    }
+    lpvg_watch_t watch, expected{};
+    std::memset(&watch, 0xFF, sizeof watch);
+    lpvg_watch_start(&watch, &model);
+    std::memcpy(expected.x, model.x, sizeof expected.x);
+    std::memcpy(expected.past, model.past, sizeof expected.past);
+    CHECK(std::memcmp(&watch, &expected, sizeof watch) == 0);
+    CHECK(watch.past[0][0] != lpvg_real_t(0));
 }

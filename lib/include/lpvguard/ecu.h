@@ -31,8 +31,9 @@
 /// Evidence. A start, a gap, a release and a lock void the monitor's evidence. Only frames that began afterwards can make the verdict
 /// valid. The watch (watch.h) judges the response from the first engaged sample on. After a gap it judges from LPVG_ECU_SETTLE_US on.
 /// A violation makes the verdict invalid. An engagement begins with the share LPVG_ECU_PROBE_SHARE of u_max. Evidence of the watch for
-/// LPVG_ECU_PROBE_US raises the share to 1. If the demand rests at its limit for LPVG_ECU_PROBE_US without evidence, the share rises by
-/// one step of LPVG_ECU_PROBE_SHARE. The watch can judge such a step.
+/// LPVG_ECU_PROBE_US raises the share to 1. Where the evidence lapses, the share falls back within LPVG_ECU_AGE_US. If the demand rests
+/// at its limit for LPVG_ECU_PROBE_US without evidence, the share does not fall: it rises by one step of LPVG_ECU_PROBE_SHARE. The watch
+/// can judge such a step.
 ///
 /// Invalid verdict. It lasts and locks the loop until it is acknowledged, unless `report_only` names it. An acknowledgement is refused
 /// while a latching cause is present, and while the engagements of the hour are used up. An invalid verdict can only be acknowledged
@@ -108,6 +109,7 @@ LPVG_EXTERN_C_BEGIN
 #define LPVG_ECU_SETTLE_US 1000000U  ///< Time after the newest gap at which the watch begins to judge [us]
 #define LPVG_ECU_PROBE_SHARE 0.25F  ///< Share of u_max at which an engagement begins                 [-]
 #define LPVG_ECU_PROBE_US 500000U  ///< Time of evidence that raises the share to 1; time at the limit that raises it by one step [us]
+#define LPVG_ECU_AGE_US 5000000U  ///< Time without evidence in which the share falls from 1 to the least one [us]
 
 #define LPVG_ECU_CAUSE_NOT_ASKED 0x0001U  ///< Engagement is not asked for.
 #define LPVG_ECU_CAUSE_MESSAGE 0x0002U  ///< A needed message is not live.
@@ -159,13 +161,13 @@ typedef struct lpvg_ecu_config_t {
     bool engage;  ///< engagement is asked for from the start
     uint16_t report_only;  ///< causes of LPVG_ECU_CAUSES_OPTIONAL that are reported but do not release
     uint8_t priority;  ///< highest other_priority (bus.h) at which control is permitted, 0 .. 3
-    bool authenticated;  ///< the caller passes only authenticated frames of the command message (authentication.h); the report says so
+    bool authenticated;  ///< the caller passes only authenticated frames of the command message (authentication.h). Report and DM1 say so
     lpvg_can_plausibility_limits_t plausibility;  ///< limits of the cross-checks
     lpvg_ecu_actuator_limits_t actuator;  ///< limits of the actuator check
 } lpvg_ecu_config_t;
 
 /// Findings that DM1 reports. It sends the most severe active one. The order of severity is corrupt, refused, time, message, invalid,
-/// actuator, implausible, locked, degraded.
+/// actuator, implausible, locked, degraded, keyless.
 typedef enum lpvg_ecu_fault_t {
     lpvg_ecu_fault_none = 0,
     lpvg_ecu_fault_refused = 1,  ///< Speed or a measurement was refused, or the controller state was not finite.
@@ -176,7 +178,8 @@ typedef enum lpvg_ecu_fault_t {
     lpvg_ecu_fault_locked = 6,  ///< The loop waits for an acknowledgement.
     lpvg_ecu_fault_actuator = 7,  ///< The actuator does not follow the demand.
     lpvg_ecu_fault_corrupt = 8,  ///< Coefficients, kept values or state are damaged.
-    lpvg_ecu_fault_degraded = 9  ///< A test alarmed; the certificate is not refuted. Releases nothing.
+    lpvg_ecu_fault_degraded = 9,  ///< A test alarmed; the certificate is not refuted. Releases nothing.
+    lpvg_ecu_fault_keyless = 10  ///< Any frame of the command message is obeyed: `authenticated` is false. Releases nothing.
 } lpvg_ecu_fault_t;
 
 #define LPVG_ECU_SPN_REFUSED 520200U  ///< Suspect parameter numbers of the trouble codes, from the range of J1939-73 for makers.
@@ -187,6 +190,7 @@ typedef enum lpvg_ecu_fault_t {
 #define LPVG_ECU_SPN_ACTUATOR 520205U
 #define LPVG_ECU_SPN_CORRUPT 520206U
 #define LPVG_ECU_SPN_DEGRADED 520207U
+#define LPVG_ECU_SPN_KEYLESS 520208U
 
 /// State of the measurement of the mean sample period.
 typedef enum lpvg_ecu_pace_t {

@@ -22,7 +22,7 @@ constexpr uint32_t period_longest_us = LPVG_ECU_WINDOW_US / 4U;  // two steps ma
 static_assert(n_all < UINT32_MAX / period_longest_us, "their product is a number of 32 bits");
 constexpr uint8_t priority_max = 3U;
 constexpr uint8_t occurrence_max = 126U;  // 127 says "unknown"
-static_assert(LPVG_J1939_CODES_MAX >= 7U + LPVG_BUS_NEEDED_MAX, "every finding and every message has a code; a verdict is one");
+static_assert(LPVG_J1939_CODES_MAX >= 8U + LPVG_BUS_NEEDED_MAX, "every finding and every message has a code; a verdict is one");
 
 // The limits are what lpvg_can_plausibility accepts: asked of it, on a sample that it leaves out.
 bool limits_good(const lpvg_can_plausibility_limits_t& limits) {
@@ -240,9 +240,9 @@ lpvg_can_event_t main_reason(const lpvg_can_watch_t& watch) {
 }
 
 // The gravest first.
-constexpr lpvg_ecu_fault_t by_gravity[] = {lpvg_ecu_fault_corrupt,     lpvg_ecu_fault_refused, lpvg_ecu_fault_time,
-                                           lpvg_ecu_fault_message,     lpvg_ecu_fault_invalid, lpvg_ecu_fault_actuator,
-                                           lpvg_ecu_fault_implausible, lpvg_ecu_fault_locked,  lpvg_ecu_fault_degraded};
+constexpr lpvg_ecu_fault_t by_gravity[] = {
+    lpvg_ecu_fault_corrupt,  lpvg_ecu_fault_refused,     lpvg_ecu_fault_time,   lpvg_ecu_fault_message,  lpvg_ecu_fault_invalid,
+    lpvg_ecu_fault_actuator, lpvg_ecu_fault_implausible, lpvg_ecu_fault_locked, lpvg_ecu_fault_degraded, lpvg_ecu_fault_keyless};
 
 bool has(const lpvg_ecu_t& self, lpvg_ecu_fault_t fault, lpvg_can_state_t supervision) {
     switch (fault) {
@@ -254,6 +254,7 @@ bool has(const lpvg_ecu_t& self, lpvg_ecu_fault_t fault, lpvg_can_state_t superv
         case lpvg_ecu_fault_invalid: return self.report.verdict == static_cast<uint8_t>(lpvg_verdict_invalid);
         case lpvg_ecu_fault_degraded: return self.report.verdict == static_cast<uint8_t>(lpvg_verdict_degraded);
         case lpvg_ecu_fault_actuator: return self.actuator_failed;
+        case lpvg_ecu_fault_keyless: return !self.kept.config.authenticated;
         case lpvg_ecu_fault_implausible: return self.plausibility.flags != 0U;
         default: return self.kept.locked;
     }
@@ -290,6 +291,7 @@ lpvg_can_dtc_t trouble_code(const lpvg_ecu_t& self, lpvg_ecu_fault_t fault, cons
         case lpvg_ecu_fault_locked: return {LPVG_ECU_SPN_LOCKED, LPVG_CAN_FMI_CONDITION, self.occurrence};
         case lpvg_ecu_fault_degraded: return {LPVG_ECU_SPN_DEGRADED, self.explained, self.occurrence};
         case lpvg_ecu_fault_invalid: return {LPVG_ECU_SPN_INVALID, self.explained, self.occurrence};
+        case lpvg_ecu_fault_keyless: return {LPVG_ECU_SPN_KEYLESS, LPVG_CAN_FMI_CONDITION, self.occurrence};
         case lpvg_ecu_fault_implausible: return {LPVG_ECU_SPN_IMPLAUSIBLE, LPVG_CAN_FMI_ERRATIC, self.occurrence};
         default: return {LPVG_ECU_SPN_REFUSED, LPVG_CAN_FMI_ERRATIC, self.occurrence};
     }
@@ -510,20 +512,26 @@ uint8_t verdict(const lpvg_ecu_t& self, lpvg_verdict_t said) {
 
 bool invalid_releases(const lpvg_ecu_t& self) { return (self.kept.config.report_only & LPVG_ECU_CAUSE_INVALID) == 0U; }
 
-// Evidence widens the demand's limit steadily. A demand that rests at the limit without evidence widens it by a step, which the watch can
-// judge.
+// Share of the demand's limit that needs no evidence.
+Real least_share(const lpvg_ecu_t& self) { return invalid_releases(self) ? static_cast<Real>(LPVG_ECU_PROBE_SHARE) : Real(1); }
+
+// Evidence widens the demand's limit steadily, and without evidence a limit that the demand does not reach narrows. A demand that rests at
+// the limit without evidence widens it by a step, which the watch can judge.
 void widen_demand(lpvg_ecu_t& self, uint32_t step) {
     const bool pressed = self.control.limited != self.limited;
     self.limited = self.control.limited;
     self.pressed_us = pressed && !self.watch.evidence ? self.pressed_us + step : 0U;
-    Real wider = Real(0);
+    const Real range = (Real(1) - static_cast<Real>(LPVG_ECU_PROBE_SHARE)) * static_cast<Real>(step), least = least_share(self);
+    Real share = self.share;
     if (self.watch.evidence) {
-        wider = (Real(1) - static_cast<Real>(LPVG_ECU_PROBE_SHARE)) / static_cast<Real>(LPVG_ECU_PROBE_US) * static_cast<Real>(step);
+        share += range / static_cast<Real>(LPVG_ECU_PROBE_US);
+    } else if (!pressed) {
+        share -= range / static_cast<Real>(LPVG_ECU_AGE_US);
     } else if (self.pressed_us >= LPVG_ECU_PROBE_US) {
-        wider = static_cast<Real>(LPVG_ECU_PROBE_SHARE);
+        share += static_cast<Real>(LPVG_ECU_PROBE_SHARE);
         self.pressed_us = 0U;
     }
-    const Real share = self.share + wider;
+    share = share > least ? share : least;
     self.share = share < Real(1) ? share : Real(1);
 }
 
@@ -544,7 +552,7 @@ void watch_response(lpvg_ecu_t& self, bool sampled, uint32_t step) {
         widen_demand(self, step);
     } else {
         lpvg_watch_void(&self.watch);
-        self.share = invalid_releases(self) ? static_cast<Real>(LPVG_ECU_PROBE_SHARE) : Real(1);
+        self.share = least_share(self);
     }
 }
 
@@ -622,7 +630,7 @@ extern "C" lpvg_status_t lpvg_ecu_init(lpvg_ecu_t* self, const lpvg_coeff_t* coe
     self->kept.speed_max = control->reals.speed_max;
     self->kept.u_max = u_max;
     lpvg_watch_limits(&self->kept.watch, coeff);
-    self->share = invalid_releases(*self) ? static_cast<Real>(LPVG_ECU_PROBE_SHARE) : Real(1);
+    self->share = least_share(*self);
     self->dm1_us = now_us - dm1_period_us;
     self->caused_us = now_us - LPVG_ECU_WAIT_US;
     self->slot_us = self->doubted_us = now_us;
