@@ -18,7 +18,7 @@ def test_a_small_fleet_is_counted_and_its_worn_vehicle_not_learnt(tmp_path, caps
     assert "of these learnt" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize("option", ["--vehicles", "--drives", "--rounds", "--seeds"])
+@pytest.mark.parametrize("option", ["--vehicles", "--drives", "--rounds", "--seeds", "--seconds"])
 def test_an_impossible_size_is_refused(option):
     with pytest.raises(InputError, match=f"bench refine: {option}: 0"):
         refine.main([option, "0"])
