@@ -1,4 +1,4 @@
-"""The how-to pages: their commands are commands of this version, their other blocks are read by their readers."""
+"""Blocks of the how-to pages: commands are those of this version, others are read by their readers."""
 
 import re
 import shlex

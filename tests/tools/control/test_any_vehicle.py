@@ -12,6 +12,7 @@ from lpvguard.base.errors import InputError
 from lpvguard.control import design as stage
 from lpvguard.control.controller_export import export_chosen
 from lpvguard.control.frozen import FrozenProblem
+from lpvguard.control.moving_speed import moving_certificates
 from lpvguard.control.plants import DesignProblem
 from lpvguard.control.stored_frames import StoredFrames
 from lpvguard.drives import fixture
@@ -95,6 +96,19 @@ def test_the_car_is_certified_and_the_certificates_are_proved_anew(stored, desig
     assert all(row["stability_level"] < 1 for row in beside["limits"]["rows"] if row["kappa"] == 1.0)
     assert all(node["disk_balanced"] > 0.3 for node in beside["robustness"]["nodes"])
     assert document["certificates"]["slow_delta"]["performance_rate_per_s"] > 0
+
+
+@pytest.mark.long("90 s: a search at a moving speed")
+def test_stability_is_proved_while_the_speed_moves_and_performance_where_a_storage_function_is_found(
+    stored, designed, tmp_path
+):
+    result, _ = designed
+    problem = DesignProblem.from_identification(stored)
+    moving = moving_certificates(problem, result.schedule, result.scaling)
+    assert moving["stability"].lpv.rate >= 2.0
+    assert (moving["performance"] is not None) == (stored.project.n_u == 2)
+    stage.save(replace(result, moving=moving), stored, tmp_path / "design")
+    stage.verify(tmp_path / "design" / "controller.json", stored)
 
 
 def test_members_of_the_set_keep_the_certified_gain(stored, designed):
