@@ -6,9 +6,8 @@ of one vehicle. In each round every vehicle gives some drives. A person accepts 
 take for a fault. With ``--inspect`` the person inspects vehicles that it takes for faulty, and accepts those
 that did not wear.
 
-The table counts, with the identification of each round before it learns, healthy drives that alarm, that
-refute the certificate set, and that alarm with a gain fault from their first sample on. It also counts worn
-drives that were learnt. A worn vehicle's response, or its brake, falls from 1 to 0.7 over the rounds.
+The table counts before a round learns. It counts healthy drives that alarm, that refute the certificate set,
+and that alarm with a gain fault from their first sample on. It also counts worn drives that were learnt. A worn vehicle's response, or its brake, falls from 1 to 0.7 over the rounds.
 """
 
 import tempfile
@@ -134,7 +133,7 @@ FLEETS: dict[str, Fleet] = {"g80": Cars(), "truck": Trucks()}
 
 @dataclass(frozen=True)
 class Size:
-    """Numbers of vehicles, drives a round and rounds; seconds a drive; whether a person inspects."""
+    """Size of a fleet and its rounds, as of the options of `main`."""
 
     vehicles: int
     worn: int
