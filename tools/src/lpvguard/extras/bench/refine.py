@@ -7,7 +7,8 @@ take for a fault. With ``--inspect`` the person inspects vehicles that it takes 
 that did not wear.
 
 The table counts before a round learns. It counts healthy drives that alarm, that refute the certificate set,
-and that alarm with a gain fault from their first sample on. It also counts worn drives that were learnt. A worn vehicle's response, or its brake, falls from 1 to 0.7 over the rounds.
+and that alarm with a gain fault from their first sample on. It also counts worn drives that were learnt. A
+worn vehicle's response, or its brake, falls from 1 to 0.7 over the rounds.
 """
 
 import tempfile
