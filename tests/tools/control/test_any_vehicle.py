@@ -148,7 +148,7 @@ def test_table_ii_is_for_the_papers_vehicle(stored):
 
 
 def test_a_demand_that_is_not_met_is_told_with_the_weight_that_limits(stored):
-    """A vehicle ten times as uncertain as identified."""
+    """A vehicle ten times as uncertain and disturbed as identified: one of both limits."""
     settings = stored.project.design.model_copy(update={"nodes": 2})
     uncertain = replace(stored.fitted, inflation=10.0)
     project = stored.project.model_copy(update={"design": settings})
@@ -157,7 +157,8 @@ def test_a_demand_that_is_not_met_is_told_with_the_weight_that_limits(stored):
     said = stage.limit_sentence(asked, result)
     assert result.worst > 1
     assert f"the least worst mu found is {result.worst:.3f}" in said
-    assert "uncertainty (W_delta)" in said and "no controller goes below" in said
+    limits = "disturbance (W_w)" if stored.project.n_u == 1 else "uncertainty (W_delta)"
+    assert limits in said and "no controller goes below" in said
 
 
 def test_further_inputs_are_weighed_by_the_rate_limits(stored):
