@@ -28,7 +28,7 @@ def test_an_impossible_size_is_refused(option):
 
 @pytest.mark.slow("10 s: drives of trucks")
 def test_trucks_differ_by_their_own_and_wear_by_their_brakes(tmp_path):
-    size = refine.Size(vehicles=2, worn=1, drives=1, rounds=2, seconds=120.0)
+    size = refine.FleetSize(vehicles=2, worn=1, drives=1, rounds=2, seconds=120.0)
     fleet = refine.FLEETS["truck"]
     first, again, later = (
         refine.fleet_drives(fleet, tmp_path / name, size, turn, 0)

@@ -133,7 +133,7 @@ FLEETS: dict[str, Fleet] = {"g80": Cars(), "truck": Trucks()}
 
 
 @dataclass(frozen=True)
-class Size:
+class FleetSize:
     """Size of a fleet and its rounds, as of the options of `main`."""
 
     vehicles: int
@@ -152,7 +152,7 @@ def _write_drive(
 
 
 def fleet_drives(
-    fleet: Fleet, folder: Path, size: Size, turn: int, seed: int, run: Map = map
+    fleet: Fleet, folder: Path, size: FleetSize, turn: int, seed: int, run: Map = map
 ) -> dict[str, float]:
     """Write a round's drives, and return the gain by drive."""
     folder.mkdir()
@@ -194,7 +194,9 @@ def _inspected(signed: Decisions, healthy: set[str]) -> Decisions:
     return replace(signed, drives=drives)
 
 
-def rounds(fleet: Fleet, scratch: Path, seed: int, size: Size, run: Map = map) -> Iterator[dict[str, Any]]:
+def rounds(
+    fleet: Fleet, scratch: Path, seed: int, size: FleetSize, run: Map = map
+) -> Iterator[dict[str, Any]]:
     """Results of each round of one fleet."""
     known = scratch / "known"
     folder = scratch / "identified"
@@ -264,7 +266,7 @@ def main(argv: list[str]) -> None:
     arguments.add_argument("--jobs", type=int, default=1, help="processes")
     options = arguments.parse_args(argv)
     require_at_least("refine", options, vehicles=1, worn=0, drives=1, rounds=1, seeds=1, seconds=120)
-    size = Size(**{field.name: getattr(options, field.name) for field in fields(Size)})
+    size = FleetSize(**{field.name: getattr(options, field.name) for field in fields(FleetSize)})
     total = list[dict[str, Any]]()
     for seed in range(options.seeds):
         with tempfile.TemporaryDirectory() as scratch, workers(options.jobs) as run:
