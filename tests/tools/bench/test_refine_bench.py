@@ -1,11 +1,13 @@
 """`lpvguard bench refine`: rounds of refinement over a fleet with a worn vehicle."""
 
 import json
+from dataclasses import replace
 
 import pytest
 
 from lpvguard.base.errors import InputError
 from lpvguard.extras.bench import refine
+from lpvguard.extras.refine.decisions import Decisions, DriveDecision
 
 
 @pytest.mark.slow("an identification and a round of refinement")
@@ -18,7 +20,30 @@ def test_a_small_fleet_is_counted_and_its_worn_vehicle_not_learnt(tmp_path, caps
     assert "of these learnt" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize("option", ["--vehicles", "--drives", "--rounds", "--seeds"])
+@pytest.mark.parametrize("option", ["--vehicles", "--drives", "--rounds", "--seeds", "--seconds"])
 def test_an_impossible_size_is_refused(option):
     with pytest.raises(InputError, match=f"bench refine: {option}: 0"):
         refine.main([option, "0"])
+
+
+@pytest.mark.slow("10 s: drives of trucks")
+def test_trucks_differ_by_their_own_and_wear_by_their_brakes(tmp_path):
+    size = refine.FleetSize(vehicles=2, worn=1, drives=1, rounds=2, seconds=120.0)
+    fleet = refine.FLEETS["truck"]
+    first, again, later = (
+        refine.fleet_drives(fleet, tmp_path / name, size, turn, 0)
+        for name, turn in (("a", 0), ("b", 0), ("c", 1))
+    )
+    assert list(first.values()) == pytest.approx([1.0, 1.0, 0.85])
+    assert list(later.values()) == pytest.approx([1.0, 1.0, 0.7]) and len(again) == 3
+    tables = [[path.read_bytes() for path in sorted((tmp_path / name).glob("*.csv"))] for name in "abc"]
+    assert tables[0][:3] == tables[1][:3] and len({*tables[0], *tables[2]}) == 8
+
+
+def test_an_inspection_accepts_what_did_not_wear():
+    entry = DriveDecision(
+        "x", "x.csv", "", "car", "valid", "human", "x", "", [], {}, "new", "fault", "", "fault"
+    )
+    signed = Decisions("seal", "bench", [entry, replace(entry, name="worn")])
+    healthy, worn = refine._inspected(signed, {"x"}).drives
+    assert (healthy.action, healthy.accept, healthy.why) == ("spread", True, "inspected") and not worn.accept

@@ -12,6 +12,7 @@ from lpvguard.base.errors import InputError
 from lpvguard.control import design as stage
 from lpvguard.control.controller_export import export_chosen
 from lpvguard.control.frozen import FrozenProblem
+from lpvguard.control.moving_speed import moving_certificates
 from lpvguard.control.plants import DesignProblem
 from lpvguard.control.stored_frames import StoredFrames
 from lpvguard.drives import fixture
@@ -97,6 +98,19 @@ def test_the_car_is_certified_and_the_certificates_are_proved_anew(stored, desig
     assert document["certificates"]["slow_delta"]["performance_rate_per_s"] > 0
 
 
+@pytest.mark.long("90 s: a search at a moving speed")
+def test_stability_is_proved_while_the_speed_moves_and_performance_where_a_storage_function_is_found(
+    stored, designed, tmp_path
+):
+    result, _ = designed
+    problem = DesignProblem.from_identification(stored)
+    moving = moving_certificates(problem, result.schedule, result.scaling)
+    assert moving["stability"].lpv.rate >= 2.0
+    assert (moving["performance"] is not None) == (stored.project.n_u == 2)
+    stage.save(replace(result, moving=moving), stored, tmp_path / "design")
+    stage.verify(tmp_path / "design" / "controller.json", stored)
+
+
 def test_members_of_the_set_keep_the_certified_gain(stored, designed):
     """Constant errors of the vehicle's response within W_delta, of both signs, at a speed between nodes."""
     result, _ = designed
@@ -134,7 +148,7 @@ def test_table_ii_is_for_the_papers_vehicle(stored):
 
 
 def test_a_demand_that_is_not_met_is_told_with_the_weight_that_limits(stored):
-    """A vehicle ten times as uncertain as identified."""
+    """A vehicle ten times as uncertain and disturbed as identified: one of both limits."""
     settings = stored.project.design.model_copy(update={"nodes": 2})
     uncertain = replace(stored.fitted, inflation=10.0)
     project = stored.project.model_copy(update={"design": settings})
@@ -143,7 +157,8 @@ def test_a_demand_that_is_not_met_is_told_with_the_weight_that_limits(stored):
     said = stage.limit_sentence(asked, result)
     assert result.worst > 1
     assert f"the least worst mu found is {result.worst:.3f}" in said
-    assert "uncertainty (W_delta)" in said and "no controller goes below" in said
+    limits = "disturbance (W_w)" if stored.project.n_u == 1 else "uncertainty (W_delta)"
+    assert limits in said and "no controller goes below" in said
 
 
 def test_further_inputs_are_weighed_by_the_rate_limits(stored):

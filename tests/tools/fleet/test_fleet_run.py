@@ -18,7 +18,7 @@ from lpvguard.core.compiled import library_root
 from lpvguard.drives.tables import list_experiments
 from lpvguard.extras.fleet.export import MAGIC, SCHEMA, crc32
 from lpvguard.extras.fleet.recordings import JUDGED_S
-from lpvguard.extras.fleet.scores import pieces_of, scored
+from lpvguard.extras.fleet.scores import ScoredDrive, recordings_of
 from lpvguard.extras.fleet.state import FleetState
 from lpvguard.extras.fleet.wealth import LEVELS, MOST, POWERS, START
 from lpvguard.replay.vehicle_core import replayer_for
@@ -62,13 +62,13 @@ def worn(tables, gain: float, prefix: str = "worn") -> dict[str, np.ndarray]:
 
 def test_a_score_is_the_mean_ratio_of_the_first_judged_minute(replayer, synthetic, g80):
     e = next(e for e in list_experiments(synthetic) if e.name == "synthetic_06")
-    (recording,) = scored(replayer, pieces_of(replayer, [e], 60.0), 60.0)
+    (recording,) = recordings_of(replayer, [e], 60.0)
     recorded = replayer.read_file(e.path)
     change = replayer.replay(recorded.drive).run.change
     judged = change[(change > 0) & replayer.estimator.settled(recorded.drive.v)][:3000]
     assert recording.score == pytest.approx(judged.mean(), rel=1e-12)
     assert recording.judged_s == 60.0 and not recording.alarmed
-    (short,) = scored(replayer, pieces_of(replayer, [e], 1e4), 1e4)
+    (short,) = recordings_of(replayer, [e], 1e4)
     assert short.score is None and 60.0 < short.judged_s < 140.0
 
 
@@ -78,8 +78,10 @@ def test_pieces_of_a_recording_have_one_score_and_the_estimate_is_the_fault(repl
     for table in faulty.values():
         table[:, 3] += 0.02
     folder = write_drives(tmp_path / "d", faulty, columns, recording=["one", "one"])
-    pieces = pieces_of(replayer, list_experiments(folder), 150.0)
-    (recording,) = scored(replayer, pieces, 150.0)
+    experiments = list_experiments(folder)
+    (recording,) = recordings_of(replayer, experiments, 150.0)
+    read = [replayer.read_file(e.path).drive for e in experiments]
+    pieces = [ScoredDrive.from_drive(replayer, drive, 7500) for drive in read]
     assert recording.name == "one" and len(recording.sha256) == 2 and recording.alarmed
     ratios = np.concatenate([p.ratios for p in pieces])
     assert recording.score == pytest.approx(ratios[:7500].mean(), rel=1e-12)

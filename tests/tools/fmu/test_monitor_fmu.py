@@ -78,6 +78,26 @@ def test_verdicts_and_ratios_are_the_cores_bit_for_bit(running, core, faulty):
     np.testing.assert_array_equal(change, expected.change)
 
 
+@pytest.mark.long("30 s: eight drives sample by sample under fmpy")
+def test_eight_drives_have_the_verdicts_of_replay(fmus, core, g80, synthetic, tmp_path):
+    """Every second drive turns 1.5 times as fast as it should from its middle on."""
+    tables = sorted(synthetic.glob("synthetic_*.csv"))[:8]
+    verdicts = set()
+    for k, table in enumerate(tables):
+        drive = read_drive(table, g80)
+        y = drive.y.copy()
+        y[len(y) // 2 :] *= 1.5 if k % 2 else 1.0
+        version = VERSIONS[k // 2 % 2]
+        running = Running(fmus[version], tmp_path / table.stem, version)
+        seen = []
+        for t, *row in zip(drive.t, drive.v, drive.u[:, 0], y[:, 0], strict=True):
+            running.step(t, np.array(row))
+            seen.append(running.codes("verdict")[0])
+        np.testing.assert_array_equal(seen, core.monitor().run(drive.t, drive.v, drive.u, y).verdict)
+        verdicts |= {VERDICTS[code] for code in seen}
+    assert len(tables) == 8 and {"valid", "invalid"} <= verdicts
+
+
 def test_a_saved_state_goes_on_with_the_same_bytes(running, faulty):
     drive, y = faulty
     inputs = np.column_stack([drive.v, drive.u, y])

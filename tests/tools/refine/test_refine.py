@@ -20,7 +20,7 @@ from lpvguard.drives.tables import Drive, list_experiments
 from lpvguard.extras.fleet.scores import DriveEstimate
 from lpvguard.extras.refine.decisions import Decisions, Evidence, decide
 from lpvguard.extras.refine.lineage import Lineage
-from lpvguard.extras.refine.proposals import _dominant, _shifted
+from lpvguard.extras.refine.proposals import _dominant, _largest, _shifted
 from lpvguard.extras.refine.renewed import drawn, renew
 from lpvguard.identify import identification as stage
 
@@ -208,8 +208,8 @@ def test_a_common_error_of_all_drives_recentres():
         "gain of r is off by +0.11 in the mean"
     )
     assert not _shifted(estimates([0.1, 0.11])) and not _shifted(estimates([0.1, -0.1, 0.02]))
-    assert _dominant((DriveEstimate("r", 0.13, 0.0, 0.0),), known) == (0, "gain")
-    assert _dominant((DriveEstimate("r", 0.13, 0.01, 0.0),), known) == (0, "delay_s")
+    assert _dominant((DriveEstimate("r", 0.13, 0.0, 0.0),), _largest(known)) == (0, "gain")
+    assert _dominant((DriveEstimate("r", 0.13, 0.01, 0.0),), _largest(known)) == (0, "delay_s")
 
 
 @pytest.mark.slow("five refinements of 16 drives and more")

@@ -155,7 +155,8 @@ def design(
     if result is None or not result.worst < 1:
         other = _designed(problem, None if present is None else present.scaling, frozen, workers)
         result = other if result is None else min(result, other, key=lambda one: one.worst)
-    _require_reach(stored, result.schedule)
+    if result.worst < 1:
+        _require_reach(stored, result.schedule)
     return replace(
         result,
         moving=moving_certificates(problem, result.schedule, result.scaling, moving, workers)

@@ -310,6 +310,7 @@ class Replayer:
         self.sigma, self.directions = 1.0 / fields["energy_scale"], fields["energy_direction"]
         self.bands = band_names(len(self.sigma))
         self.change_unit, self.change_size = 1.0 / fields["change_unit"], 1.0 / fields["change_scale"]
+        self.change_block_s = float(fields["change_block_s"][0])
 
     def replay(self, drive: Drive) -> Replay:
         """Run one drive."""

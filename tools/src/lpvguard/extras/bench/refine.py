@@ -1,29 +1,41 @@
-"""`lpvguard bench refine`: rounds of refinement over a synthetic fleet, one vehicle of which wears.
+"""`lpvguard bench refine`: rounds of refinement over a simulated fleet, some vehicles of which wear.
 
-Each healthy vehicle has a gain of its own, as from tyres and load. In each round every vehicle gives some
-drives. A person accepts all that `refine` does not take for a fault. The table counts healthy drives that
-alarm and gain faults in them that do, with the core of each round. It also counts worn drives that were
-learnt.
+`g80`: cars of drives/fixture.py; a car's gain is its own, as from tyres and load. `truck`: trucks of
+firmware_sim/plant with loads, tyres, friction and brakes of their own. The first identification knows drives
+of one vehicle. In each round every vehicle gives some drives. A person accepts all that `refine` does not
+take for a fault. With ``--inspect`` the person inspects vehicles that it takes for faulty, and accepts those
+that did not wear.
+
+The table counts before a round learns. It counts healthy drives that alarm, that refute the certificate set,
+and that alarm with a gain fault from their first sample on. It also counts worn drives that were learnt. A
+worn vehicle's response, or its brake, falls from 1 to 0.7 over the rounds.
 """
 
 import tempfile
 from collections.abc import Iterator
+from dataclasses import asdict, dataclass, fields, replace
+from functools import partial
+from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
 from ...base.artefacts import write_files
+from ...base.parallel import Map, workers
 from ...core.compiled import ALARMING, VERDICTS
 from ...drives import fixture
 from ...drives.faults import Fault, inject
-from ...drives.tables import list_experiments
+from ...drives.tables import Experiment, index_text, list_experiments
 from ...identify import identification as stage
 from ...replay.replayer import Replayer
 from ...vehicle.project import Project, load_project
-from ..loop.generate import generate
-from ..refine.decisions import Evidence, decide
+from ..loop.generate import generate, truck_drive
+from ..refine.decisions import Decisions, Evidence, decide
+from ..refine.judgement import CERTIFICATE, HEALTHY
 from ..refine.lineage import Lineage, compiled
+from ..refine.proposals import FAULT as FAULTY
+from ..refine.proposals import SPREAD
 from ..refine.renewed import renew
 from . import parser, require_at_least, show
 
@@ -31,73 +43,192 @@ FAULT = 0.7
 """Gain of the fault, and the gain to which the worn vehicle falls."""
 TAKEN_FOR_HEALTHY = 0.85
 """A worn drive with a gain below this must not be learnt."""
-DRIVE_S = 140.0
 WORN = "worn"
+VARIATION = {
+    "load_ratio": 0.2,
+    "cornering_stiffness_front_ratio": 0.08,
+    "cornering_stiffness_rear_ratio": 0.08,
+    "brake_gain_ratio": 0.05,
+}
+"""Standard deviations of what differs between trucks, around 1."""
+KNOWN_SPEEDS, SWEEPS_BAR = (8.1, 12.0, 17.0, 21.9), (0.24, 0.8, 2.1)
+CALIBRATING_SPEEDS = (8.5, 9.5, 11.0, 13.0, 15.0, 17.0, 19.0, 21.0, 21.5)
+PROGRAMMES = ("pulses", "telegraph", "multisine")
+
+
+class Fleet(Protocol):
+    """A kind of vehicle: the project, a folder of known drives, and drives of any vehicle of the fleet."""
+
+    project: Project
+
+    def known(self, folder: Path, seed: int) -> None:
+        """Write the drives of the first identification."""
+
+    def drive(self, path: Path, own: np.random.Generator, gain: float, seconds: float, seed: int) -> None:
+        """Write a drive of the vehicle that ``own`` draws, with its response times ``gain``."""
+
+
+class Cars:
+    """Cars whose gain is their own."""
+
+    project = load_project("g80")
+
+    def known(self, folder: Path, seed: int) -> None:
+        """As `lpvguard generate`."""
+        generate(self.project, folder, seed)
+
+    def drive(self, path: Path, own: np.random.Generator, gain: float, seconds: float, seed: int) -> None:
+        """Mean speed from 7 to 15 m/s."""
+        random = np.random.default_rng([seed])
+        speed = float(random.uniform(7.0, 15.0))
+        columns, _ = fixture.drive_columns(random, speed, seconds, self.project.Ts_s, None)
+        columns["r"] = gain * (1 + 0.03 * own.standard_normal()) * columns["r"]
+        write_files(path.parent, {path.name: fixture.csv_text(columns)})
+
+
+class Trucks:
+    """Trucks with VARIATION; ``gain`` is of the brakes."""
+
+    project = load_project("truck")
+
+    def known(self, folder: Path, seed: int) -> None:
+        """Sweeps and manoeuvres of the truck as of truck.toml."""
+        folder.mkdir()
+        plan = [("train", p, v, 180.0, 0.25, 1.0) for v in KNOWN_SPEEDS for p in PROGRAMMES]
+        plan += [("sweep", "sweep", v, 299.0, u, u) for v in KNOWN_SPEEDS for u in SWEEPS_BAR]
+        plan += [("valid", p, v, 180.0, 0.25, 1.0) for v in CALIBRATING_SPEEDS for p in PROGRAMMES[1:]]
+        plan += [("noise", "zero", v, 240.0, 0.0, 0.0) for v in (12.0, 17.0)]
+        rows = []
+        for k, (split, programme, v, seconds, low, high) in enumerate(plan):
+            path = folder / f"known_{k:02d}.csv"
+            self._write(path, f"speed_profile = [[0.0, {v}]]", programme, seconds, low, high, 1000 * seed + k)
+            rows.append((path.stem, split, programme))
+        write_files(folder, {"experiments.csv": index_text(rows, "driver")})
+
+    def drive(self, path: Path, own: np.random.Generator, gain: float, seconds: float, seed: int) -> None:
+        """Three speeds, one programme of the brakes."""
+        variation = {key: 1 + sd * own.standard_normal() for key, sd in VARIATION.items()}
+        variation["brake_gain_ratio"] *= gain
+        random = np.random.default_rng([seed])
+        speeds = [float(v) for v in random.uniform(8.5, 21.5, 3)]
+        profile = [[0.0, speeds[0]]]
+        for part, (before, after) in enumerate(pairwise(speeds), start=1):
+            profile += [[part * seconds / 3 - 10.0, before], [part * seconds / 3, after]]
+        lines = [f"speed_profile = {profile}", "[plant.variation]"]
+        lines += [f"{key} = {value:.6g}" for key, value in variation.items()]
+        programme = str(random.choice(PROGRAMMES))
+        self._write(path, "\n".join(lines), programme, seconds, 0.25, 1.0, seed)
+
+    def _write(
+        self, path: Path, plant: str, program: str, seconds: float, low: float, high: float, seed: int
+    ) -> None:
+        with tempfile.TemporaryDirectory() as scratch:
+            scenario = Path(scratch) / "truck.toml"
+            scenario.write_text(f"[plant]\n{plant}\n", encoding="utf-8")
+            amplitudes = {"amplitude_low": low, "amplitude_high": high}
+            truck_drive(path, scenario=scenario, program=program, duration=seconds, seed=seed, **amplitudes)
+
+
+FLEETS: dict[str, Fleet] = {"g80": Cars(), "truck": Trucks()}
+
+
+@dataclass(frozen=True)
+class FleetSize:
+    """Size of a fleet and its rounds, as of the options of `main`."""
+
+    vehicles: int
+    worn: int
+    drives: int
+    rounds: int
+    seconds: float
+    inspect: bool = False
+
+
+def _write_drive(
+    fleet: Fleet, folder: Path, seconds: float, of_drive: tuple[str, list[int], float, int]
+) -> None:
+    name, own, gain, seed = of_drive
+    fleet.drive(folder / f"{name}.csv", np.random.default_rng(own), gain, seconds, seed)
 
 
 def fleet_drives(
-    project: Project, folder: Path, gains: dict[str, list[float]], seed: list[int]
+    fleet: Fleet, folder: Path, size: FleetSize, turn: int, seed: int, run: Map = map
 ) -> dict[str, float]:
-    """Write a folder of drives of each vehicle with these gains; returns the gain by drive."""
+    """Write a round's drives, and return the gain by drive."""
     folder.mkdir()
-    rows, gain_of = ["experiment,split,driver,vehicle"], {}
-    for i, (vehicle, gains_of_vehicle) in enumerate(gains.items()):
-        for k, gain in enumerate(gains_of_vehicle):
+    wear = np.linspace(1.0, FAULT, size.rounds * size.drives + 1)[1:]
+    wear = wear[turn * size.drives : (turn + 1) * size.drives]
+    rows, gain_of, drives = ["experiment,split,driver,vehicle"], {}, []
+    for i in range(size.vehicles + size.worn):
+        vehicle = f"car_{i:02d}" if i < size.vehicles else f"{WORN}_{i:02d}"
+        for k in range(size.drives):
             name = f"{folder.name}_{vehicle}_{k}"
-            random = np.random.default_rng([*seed, i, k])
-            speed = float(random.uniform(7.0, 15.0))
-            columns, _ = fixture.drive_columns(random, speed, DRIVE_S, project.Ts_s, None)
-            columns["r"] = gain * columns["r"]
-            write_files(folder, {f"{name}.csv": fixture.csv_text(columns)})
+            gain_of[name] = float(wear[k]) if i >= size.vehicles else 1.0
+            own = [59, seed, i]
+            drive_seed = int(np.random.SeedSequence([seed, turn, i, k]).generate_state(1)[0])
+            drives.append((name, own, gain_of[name], drive_seed))
             rows.append(f"{name},valid,human,{vehicle}")
-            gain_of[name] = gain
+    for _ in run(partial(_write_drive, fleet, folder, size.seconds), drives):
+        pass
     write_files(folder, {"experiments.csv": "\n".join(rows) + "\n"})
     return gain_of
 
 
-def alarms(replayer: Replayer, folder: Path, healthy: set[str]) -> dict[str, int]:
-    """Healthy drives that alarm as they are, and with a gain fault from the first sample on."""
+def _fault_found(replayer: Replayer, experiment: Experiment) -> bool:
+    """Whether a drive alarms with a gain fault from the first sample on."""
+    drive = inject(
+        replayer.read_file(experiment.path).drive, Fault("gain", FAULT), 0.0, replayer.project.Ts_s
+    )
     alarming = [VERDICTS.index(v) for v in ALARMING]
-    counts = {"healthy": 0, "false": 0, "faults_found": 0}
-    for e in list_experiments(folder):
-        if e.name in healthy:
-            drive = replayer.read_file(e.path).drive
-            faulty = inject(drive, Fault("gain", FAULT), 0.0, replayer.project.Ts_s)
-            counts["healthy"] += 1
-            for key, one in (("false", drive), ("faults_found", faulty)):
-                counts[key] += bool(np.isin(replayer.replay(one).run.verdict, alarming).any())
-    return counts
+    return bool(np.isin(replayer.replay(drive).run.verdict, alarming).any())
+
+
+def _inspected(signed: Decisions, healthy: set[str]) -> Decisions:
+    """Accept drives of vehicles that were taken for faulty and, as an inspection shows, did not wear."""
+    drives = [
+        replace(d, action=SPREAD, accept=True, why="inspected")
+        if d.proposal == FAULTY and d.name in healthy
+        else d
+        for d in signed.drives
+    ]
+    return replace(signed, drives=drives)
 
 
 def rounds(
-    project: Project, scratch: Path, seed: int, vehicles: int, drives: int, turns: int
+    fleet: Fleet, scratch: Path, seed: int, size: FleetSize, run: Map = map
 ) -> Iterator[dict[str, Any]]:
     """Results of each round of one fleet."""
-    random = np.random.default_rng([59, seed])
-    own = {f"car_{i:02d}": float(1 + 0.03 * random.standard_normal()) for i in range(vehicles)}
-    generate(project, scratch / "known", seed=seed)
-    stage.save(*stage.identify(project, scratch / "known"), scratch / "identified")
-    folder, known = scratch / "identified", scratch / "known"
-    wear = np.linspace(1.0, FAULT, turns * drives + 1)[1:]
-    for turn in range(turns):
-        gains = {name: [gain] * drives for name, gain in own.items()}
-        gains[WORN] = wear[turn * drives : (turn + 1) * drives].tolist()
+    known = scratch / "known"
+    folder = scratch / "identified"
+    fleet.known(known, seed)
+    stage.save(*stage.identify(fleet.project, known, workers=run), folder)
+    for turn in range(size.rounds):
         new = scratch / f"round_{turn}"
-        gain_of = fleet_drives(project, new, gains, [seed, turn])
+        gain_of = fleet_drives(fleet, new, size, turn, seed, run)
         healthy = {name for name in gain_of if WORN not in name}
         lineage = Lineage.from_folder(folder, known if turn == 0 else None)
         with compiled(lineage.stored) as replayer:
-            counted = alarms(replayer, new, healthy)
-        decisions, _ = decide(lineage, Evidence.from_paths(lineage, [new], "vehicle"), scratch)
+            drives = [e for e in list_experiments(new) if e.name in healthy]
+            found = sum(run(partial(_fault_found, replayer), drives))
+        decisions, _ = decide(lineage, Evidence.from_paths(lineage, [new], "vehicle"), scratch, run)
         signed = decisions.accepting("bench", recentre=False)
+        if size.inspect:
+            signed = _inspected(signed, healthy)
         learnt = {d.name for d in signed.accepted}
-        if learnt:
+        if learnt and turn + 1 < size.rounds:
             path, out = scratch / f"decisions_{turn}.toml", scratch / f"refined_{turn}"
             path.write_text(signed.text(), encoding="utf-8")
-            renew(lineage, path, out)
+            renew(lineage, path, out, workers=run)
             folder = out
+        refuted = [d.refutes for d in decisions.drives if d.name in healthy]
         worn = {n for n, gain in gain_of.items() if n not in healthy and gain < TAKEN_FOR_HEALTHY}
-        yield counted | {
+        yield {
+            "healthy": len(healthy),
+            "hours": len(healthy) * size.seconds / 3600,
+            "false": sum(HEALTHY in statements for statements in refuted),
+            "falsified": sum(CERTIFICATE in statements for statements in refuted),
+            "faults_found": found,
+            "taken_for_faulty": sum(d.proposal == FAULTY and d.name in healthy for d in decisions.drives),
             "learnt": len(learnt & healthy),
             "worn_below": len(worn),
             "worn_learnt": len(learnt & worn),
@@ -107,15 +238,16 @@ def rounds(
 def words(result: dict[str, Any]) -> str:
     """The table for people."""
     lines = [
-        f"{result['vehicles']} healthy vehicles and a worn one, {result['drives']} drives each a round, "
-        f"{len(result['seeds'])} fleets",
-        f"{'round':>5} {'healthy':>8} {'false alarms':>13} {'faults found':>13} {'learnt':>7} "
-        f"{'worn < 0.85':>12} {'of these learnt':>16}",
+        f"{result['vehicle']}: {result['vehicles']} healthy vehicles and {result['worn']} worn, "
+        f"{result['drives']} drives of {result['seconds']:g} s each a round, {len(result['seeds'])} fleets",
+        f"{'round':>5} {'healthy':>8} {'hours':>6} {'false alarms':>13} {'falsified':>10} "
+        f"{'faults found':>13} {'as faulty':>10} {'learnt':>7} {'worn < 0.85':>12} {'of these learnt':>16}",
     ]
     for i, r in enumerate(result["rounds"]):
         lines.append(
-            f"{i + 1:>5} {r['healthy']:>8} {r['false']:>13} {r['faults_found']:>13} {r['learnt']:>7} "
-            f"{r['worn_below']:>12} {r['worn_learnt']:>16}"
+            f"{i + 1:>5} {r['healthy']:>8} {r['hours']:>6.1f} {r['false']:>13} {r['falsified']:>10} "
+            f"{r['faults_found']:>13} {r['taken_for_faulty']:>10} {r['learnt']:>7} {r['worn_below']:>12} "
+            f"{r['worn_learnt']:>16}"
         )
     return "\n".join(lines)
 
@@ -123,24 +255,29 @@ def words(result: dict[str, Any]) -> str:
 def main(argv: list[str]) -> None:
     """`lpvguard bench refine`."""
     arguments = parser("refine", __doc__)
+    arguments.add_argument("--vehicle", choices=sorted(FLEETS), default="g80")
     arguments.add_argument("--vehicles", type=int, default=4, help="healthy vehicles")
+    arguments.add_argument("--worn", type=int, default=1, help="vehicles that wear")
     arguments.add_argument("--drives", type=int, default=2, help="drives of each vehicle in a round")
+    arguments.add_argument("--seconds", type=float, default=140.0, help="length of a drive")
     arguments.add_argument("--rounds", type=int, default=4)
     arguments.add_argument("--seeds", type=int, default=1, help="fleets")
+    arguments.add_argument("--inspect", action="store_true", help="accept what did not wear")
+    arguments.add_argument("--jobs", type=int, default=1, help="processes")
     options = arguments.parse_args(argv)
-    require_at_least("refine", options, vehicles=1, drives=1, rounds=1, seeds=1)
-    project, total = load_project("g80"), list[dict[str, Any]]()
+    require_at_least("refine", options, vehicles=1, worn=0, drives=1, rounds=1, seeds=1, seconds=120)
+    size = FleetSize(**{field.name: getattr(options, field.name) for field in fields(FleetSize)})
+    total = list[dict[str, Any]]()
     for seed in range(options.seeds):
-        with tempfile.TemporaryDirectory() as scratch:
-            of_fleet = rounds(project, Path(scratch), seed, options.vehicles, options.drives, options.rounds)
-            for i, counts in enumerate(of_fleet):
+        with tempfile.TemporaryDirectory() as scratch, workers(options.jobs) as run:
+            for i, counts in enumerate(rounds(FLEETS[options.vehicle], Path(scratch), seed, size, run)):
                 if i == len(total):
                     total.append(counts)
                 else:
                     total[i] = {key: total[i][key] + counts[key] for key in counts}
     result = {
-        "vehicles": options.vehicles,
-        "drives": options.drives,
+        "vehicle": options.vehicle,
+        **asdict(size),
         "seeds": list(range(options.seeds)),
         "rounds": total,
     }

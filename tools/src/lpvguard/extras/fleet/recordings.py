@@ -19,7 +19,7 @@ from ...base.parallel import Map
 from ...base.rates import per_hour, rate
 from ...drives.tables import Experiment, index_column, list_experiments, set_aside, table_hashes
 from ...replay.replayer import Replayer
-from .scores import Scored, pieces_of, require_new, scored
+from .scores import Scored, recordings_of, require_new
 from .state import FleetState, Member, Terms
 from .wealth import Life
 
@@ -105,8 +105,7 @@ def calibrated_state(
     }
     left_out = {**listed.left_out, **dict.fromkeys(sorted(sets), "set the bounds")}
     chosen = [e for e in listed.experiments if e.recording not in sets]
-    pieces = pieces_of(replayer, chosen, terms.judged_s, workers, progress)
-    recordings = scored(replayer, pieces, terms.judged_s)
+    recordings = recordings_of(replayer, chosen, terms.judged_s, workers, progress)
     left_out |= {s.name: too_short(s, terms) for s in recordings if s.score is None}
     scores = {s.name: s.score for s in recordings if s.score is not None}
     if not scores:
@@ -214,17 +213,17 @@ def follow(
             )
         else:
             results[listed.vehicle[e.name]].already += 1
-    pieces = pieces_of(replayer, new, state.terms.judged_s, workers, progress)
-    recordings = scored(replayer, pieces, state.terms.judged_s)
+    recordings = recordings_of(replayer, new, state.terms.judged_s, workers, progress)
     require_new(listed.folder, recordings, _seen(state))
+    table = state.table
     for recording in recordings:
         vehicle = listed.vehicle[next(iter(recording.sha256))]
         if recording.score is None:
             results[vehicle].left_out[recording.name] = too_short(recording, state.terms)
             continue
         member = state.members.get(vehicle, Member())
-        place = int(state.table.place(recording.score))
-        after = member.after(recording.name, recording.sha256, place, state.table)
+        place = int(table.place(recording.score))
+        after = member.after(recording.name, recording.sha256, place, table)
         state = state.with_member(vehicle, after)
         results[vehicle].rows.append(_row(recording, place, after))
     return state, _summary(state, listed, results, left_out)

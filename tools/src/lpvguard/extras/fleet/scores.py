@@ -11,7 +11,8 @@ moment. Least-squares sums over the same samples give an estimate of gain, delay
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections import Counter
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -60,9 +61,8 @@ class ScoredDrive:
         e, yhat = nominal_error(drive, replayer.model)
         n_y = e.shape[1]
         products, along = np.zeros((n_y, len(CHANGE_PARTS), len(CHANGE_PARTS))), np.zeros((n_y, 3))
-        block_s = float(replayer.core.fields(replayer.core.compiled[1])["change_block_s"][0])
         for blocks in Blocks.stretches(e, yhat, usable):
-            phi = blocks.phi / np.array([1.0, block_s, 1.0])
+            phi = blocks.phi / np.array([1.0, replayer.change_block_s, 1.0])
             products += np.einsum("mji,mjk->jik", phi, phi)
             along += np.einsum("mji,mj->ji", phi, blocks.e)
         until = judged[-1] + 1 if len(judged) else 0
@@ -114,47 +114,54 @@ def _piece(replayer: Replayer, most: int, experiment: Experiment) -> ScoredDrive
     return ScoredDrive(**{**fields, "drive": experiment.name, **named})
 
 
-def pieces_of(
+def recordings_of(
     replayer: Replayer,
-    experiments: Iterable[Experiment],
+    experiments: Sequence[Experiment],
     judged_s: float,
     workers: Map = map,
     progress: Callable[[str], None] = lambda _: None,
-) -> list[ScoredDrive]:
-    """Score every drive in order; InputError for a drive that cannot be read."""
-    most = round(judged_s / replayer.project.Ts_s)
-    pieces = []
-    for piece in workers(partial(_piece, replayer, most), experiments):
-        if isinstance(piece, InputError):
-            raise piece
-        progress(piece.drive)
-        pieces.append(piece)
-    return pieces
+) -> list[Scored]:
+    """Score the recordings of drives, in the order of their first ones.
 
-
-def scored(replayer: Replayer, pieces: Iterable[ScoredDrive], judged_s: float) -> list[Scored]:
-    """Join pieces to recordings, in the order of their first pieces.
-
-    The last piece that is needed contributes only its first samples to the score, and its sums in proportion.
+    The piece in which the length is reached gives its first samples to the score, and its sums in proportion.
+    Samples are kept until their recording is complete.
 
     Parameters
     ----------
     replayer : Replayer
-    pieces : Iterable of ScoredDrive
-    judged_s : float, s, judged driving per score
+    experiments : Sequence of Experiment
+    judged_s : float, s, length
+    workers : Map
+    progress : Callable, reports progress
 
     Returns
     -------
     list of Scored
+
+    Raises
+    ------
+    InputError
+        If a drive cannot be read.
     """
     most = round(judged_s / replayer.project.Ts_s)
-    by_recording: dict[str, list[ScoredDrive]] = {}
-    for piece in pieces:
-        by_recording.setdefault(piece.recording, []).append(piece)
-    return [_scored(replayer, name, members, most) for name, members in by_recording.items()]
+    missing = Counter(e.recording for e in experiments)
+    waiting: dict[str, list[ScoredDrive]] = {name: [] for name in missing}
+    recordings: dict[str, Scored] = {}
+    for piece in workers(partial(_piece, replayer, most), experiments):
+        if isinstance(piece, InputError):
+            raise piece
+        progress(piece.drive)
+        waiting[piece.recording].append(piece)
+        missing[piece.recording] -= 1
+        if missing[piece.recording] == 0:
+            recordings[piece.recording] = scored(
+                replayer, piece.recording, waiting.pop(piece.recording), most
+            )
+    return [recordings[name] for name in missing]
 
 
-def _scored(replayer: Replayer, name: str, pieces: list[ScoredDrive], most: int) -> Scored:
+def scored(replayer: Replayer, name: str, pieces: list[ScoredDrive], most: int) -> Scored:
+    """Join the pieces of a recording; ``most`` samples count."""
     products, along = np.zeros_like(pieces[0].products), np.zeros_like(pieces[0].along)
     left, alarmed = most, False
     for piece in pieces:

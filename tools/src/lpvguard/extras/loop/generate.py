@@ -89,32 +89,41 @@ def _truck_plan() -> list[_Planned]:
     return plan + [_Planned("noise", "zero", v, ZERO_INPUT_DURATION_S) for v in ZERO_INPUT_SPEEDS]
 
 
+def truck_drive(path: Path, **options: object) -> None:
+    """Write the table of a drive of the simulated truck.
+
+    Parameters
+    ----------
+    path : Path, table
+    options : of ``lpvguard_plant_tool generate``, ``_`` for ``-``
+
+    Raises
+    ------
+    InputError
+        If the tool refuses an option.
+    """
+    tool = plant_tool()
+    words = [word for name, value in options.items() for word in (f"--{name.replace('_', '-')}", value)]
+    command = [str(word) for word in (tool, "generate", "-o", path, *words)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    if done.returncode != 0:
+        raise InputError(tool, path.stem, done.stderr.strip(), "a drive of the simulated truck")
+
+
 def _truck(project: Project, folder: Path, seed: int, tell: Callable[[str], None]) -> list[fixture.Row]:
-    tool, rows = plant_tool(), []
+    rows = []
     for index, d in enumerate(_truck_plan()):
         name = f"{d.programme}_{index:02d}_{d.speed:g}mps".replace(".", "p")
         tell(name)
-        command = [
-            tool,
-            "generate",
-            "-o",
+        truck_drive(
             folder / f"{name}.csv",
-            "--speed",
-            d.speed,
-            "--program",
-            d.programme,
-            "--amplitude-low",
-            d.amplitudes[0],
-            "--amplitude-high",
-            d.amplitudes[1],
-            "--duration",
-            d.duration,
-            "--seed",
-            seed * 1000 + index,
-        ]
-        done = subprocess.run([str(c) for c in command], capture_output=True, text=True, check=False)
-        if done.returncode != 0:
-            raise InputError(tool, name, done.stderr.strip(), "a drive of the simulated truck")
+            speed=d.speed,
+            program=d.programme,
+            amplitude_low=d.amplitudes[0],
+            amplitude_high=d.amplitudes[1],
+            duration=d.duration,
+            seed=seed * 1000 + index,
+        )
         rows.append((name, d.split, d.programme))
     return rows
 

@@ -7,6 +7,7 @@ Another action than the proposed one needs a reason in ``why``.
 from __future__ import annotations
 
 import os
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -22,7 +23,7 @@ from ...drives.tables import TABLE_SUFFIXES, Experiment, index_column, list_expe
 from ...replay.replayer import Replayer
 from ..fleet.recordings import Listed, follow
 from ..fleet.state import FleetState
-from .judgement import Judge, Judgement, known_estimates
+from .judgement import Judge, Judgement
 from .lineage import Lineage
 from .proposals import ACTIONS, CONDITION, FAULT, RECENTRE, SPREAD, LearningProposal, proposals
 
@@ -74,9 +75,9 @@ class Evidence:
                 )
             experiments += added
             vehicle |= {e.name: names.get(e.name, stored.project.name) for e in added}
-        every = [e.name for e in (*known, *experiments)]
+        every = Counter(e.name for e in (*known, *experiments))
         for e in experiments:
-            if every.count(e.name) > 1:
+            if every[e.name] > 1:
                 raise InputError(e.path, "", f"a drive named {e.name} is there already", "names of their own")
         table_hashes([*known, *experiments])
         return cls(experiments, vehicle)
@@ -287,13 +288,13 @@ def decide(
     """
     with Judge.for_lineage(lineage) as judge:
         judgements = []
-        for e in evidence.experiments:
-            progress(f"judges {e.name}")
-            judgements.append(judge.of_drive(e, evidence.vehicle[e.name]))
+        for judgement in judge.judged(evidence.experiments, evidence.vehicle, workers):
+            progress(f"judged {judgement.experiment.name}")
+            judgements.append(judgement)
         progress("lifetime test")
         life, lives = evidence.lived(lineage, judge.first, workers)
-        known = list_experiments(lineage.drives)
-        groups = {e.group for e in known if e.group}
-        made = proposals(judge, judgements, known_estimates(judge, lineage.drives), life, groups)
+        groups = {e.group for e in list_experiments(lineage.drives) if e.group}
+        known = judge.known_estimates(lineage.drives, workers)
+        made = proposals(judge, judgements, known, life, groups)
     entries = [DriveDecision.from_judgement(j, p, folder) for j, p in zip(judgements, made, strict=True)]
     return Decisions(lineage.stored.manifest["seal"], "", entries), lives

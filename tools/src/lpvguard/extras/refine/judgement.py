@@ -7,7 +7,7 @@ refutes the disturbance bound. An alarm of any test of the core refutes the heal
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from ...base.errors import InputError
+from ...base.parallel import Map
 from ...core.compiled import Core
 from ...drives.tables import Drive, Experiment, list_experiments
 from ...identify.calibration import ROUNDING, Calibration, change_score, energy_score, score
@@ -56,30 +57,24 @@ class Judgement:
 
 
 @dataclass(frozen=True)
-class Judge:
+class _Cores:
     """Compiled cores that judge drives: of now, of the certificate alone, and of the first identification."""
 
-    stored: StoredIdentification
     now: Replayer
     certificate: Core
     first: Replayer
 
-    @classmethod
-    @contextmanager
-    def for_lineage(cls, lineage: Lineage) -> Iterator[Judge]:
-        """Judge of a lineage."""
-        stored = lineage.stored
-        # All bins of the certificate count, also those that raise no alarm.
-        alone = replace(stored, fitted=replace(stored.fitted, healthy=None, silent=()), pools=None)
-        with ExitStack() as stack:
-            yield cls(
-                stored,
-                stack.enter_context(compiled(stored)),
-                stack.enter_context(scratch_core(stored.project, alone.coefficients)),
-                stack.enter_context(lineage.first()),
-            )
+    def estimates(self, drive: Drive) -> tuple[DriveEstimate, ...]:
+        """Estimates of a whole drive, relative to the first identification's model."""
+        samples = len(drive.t)
+        piece = ScoredDrive.from_drive(self.first, drive, samples)
+        return scored(self.first, drive.name, [piece], samples).estimates
 
-    def of_drive(self, experiment: Experiment, vehicle: str) -> Judgement:
+    def estimates_of_file(self, experiment: Experiment) -> tuple[DriveEstimate, ...]:
+        """Estimates of a drive's file."""
+        return self.estimates(self.first.read_file(experiment.path).drive)
+
+    def findings(self, experiment: Experiment) -> _Findings:
         """Judge one drive. Raises InputError where it cannot be read, or nothing of it is judged."""
         drive = self.now.read_file(experiment.path).drive
         replay = self.now.replay(drive)
@@ -99,20 +94,8 @@ class Judge:
         if max(ratios.values()) > 1:
             refutes.append(HEALTHY)
         broken = next((d.says for d in replay.diagnoses if d.final and d.cause in BROKEN), None)
-        return Judgement(
-            experiment,
-            vehicle,
-            tuple(refutes),
-            ratios | {"certificate": margin},
-            _like(self.stored, scores),
-            self.estimates(drive),
-            broken,
-        )
-
-    def estimates(self, drive: Drive) -> tuple[DriveEstimate, ...]:
-        """Estimates of a whole drive, relative to the first identification's model."""
-        piece = ScoredDrive.from_drive(self.first, drive, len(drive.t))
-        return scored(self.first, [piece], drive.duration_s)[0].estimates
+        ratios["certificate"] = margin
+        return _Findings(tuple(refutes), ratios, scores, self.estimates(drive), broken)
 
     def _certificate(self, drive: Drive) -> tuple[float, bool]:
         """Largest margin of the certificate, and whether a vehicle without response would exceed 1, too."""
@@ -120,6 +103,66 @@ class Judge:
         margin = np.where(frames.counted, frames.margin, 0.0)
         over = margin > 1 + ROUNDING
         return float(margin.max(initial=0.0)), bool((over & (frames.evidence > 1)).any())
+
+
+@dataclass(frozen=True)
+class _Findings:
+    """What the cores say of a drive, as of `Judgement`; ``scores`` by test, None: it judged nothing."""
+
+    refutes: tuple[str, ...]
+    ratios: dict[str, float]
+    scores: dict[str, float | None]
+    estimates: tuple[DriveEstimate, ...]
+    broken: str | None
+
+
+@dataclass(frozen=True)
+class Judge:
+    """Judges drives against an identification and the first one of its lineage.
+
+    Attributes
+    ----------
+    stored : StoredIdentification, of now
+    """
+
+    stored: StoredIdentification
+    _cores: _Cores
+
+    @property
+    def first(self) -> Replayer:
+        """The first identification's core."""
+        return self._cores.first
+
+    @classmethod
+    @contextmanager
+    def for_lineage(cls, lineage: Lineage) -> Iterator[Judge]:
+        """Judge of a lineage."""
+        stored = lineage.stored
+        # All bins of the certificate count, also those that raise no alarm.
+        alone = replace(stored, fitted=replace(stored.fitted, healthy=None, silent=()), pools=None)
+        with ExitStack() as stack:
+            cores = _Cores(
+                stack.enter_context(compiled(stored)),
+                stack.enter_context(scratch_core(stored.project, alone.coefficients)),
+                stack.enter_context(lineage.first()),
+            )
+            yield cls(stored, cores)
+
+    def judged(
+        self, experiments: Sequence[Experiment], vehicle: Mapping[str, str], workers: Map = map
+    ) -> Iterator[Judgement]:
+        """Judge drives, in order; ``vehicle`` by name of drive. Raises InputError as `_Cores.findings`."""
+        found = workers(self._cores.findings, experiments)
+        for e, f in zip(experiments, found, strict=True):
+            like = _like(self.stored, f.scores)
+            yield Judgement(e, vehicle[e.name], f.refutes, f.ratios, like, f.estimates, f.broken)
+
+    def known_estimates(self, folder: Path, workers: Map = map) -> list[tuple[DriveEstimate, ...]]:
+        """Estimates of the drives of a folder that set bounds or calibrate."""
+        drives = self.stored.manifest["drives"]
+        known = {*drives["bounds"], *drives["calibration"]}
+        experiments = [e for e in list_experiments(folder) if e.name in known]
+        return list(workers(self._cores.estimates_of_file, experiments))
 
 
 def _like(stored: StoredIdentification, scores: dict[str, float | None]) -> str:
@@ -140,13 +183,3 @@ def _like(stored: StoredIdentification, scores: dict[str, float | None]) -> str:
         if all(s is None or s <= largest[test] for test, s in scores.items()):
             return group
     return NEW
-
-
-def known_estimates(judge: Judge, folder: Path) -> list[tuple[DriveEstimate, ...]]:
-    """Estimates of the drives of a folder that set bounds or calibrate."""
-    known = {*judge.stored.manifest["drives"]["bounds"], *judge.stored.manifest["drives"]["calibration"]}
-    return [
-        judge.estimates(judge.first.read_file(e.path).drive)
-        for e in list_experiments(folder)
-        if e.name in known
-    ]

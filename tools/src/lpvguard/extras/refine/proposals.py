@@ -80,7 +80,8 @@ def proposals(
         for g, recordings in groups.items()
         if g and g not in known_groups and len(recordings) >= FEWEST_OF_CONDITION
     }
-    return [_proposal(j, life, least, shifted.get(_dominant(j.estimates, known)), new) for j in judgements]
+    largest = _largest(known)
+    return [_proposal(j, life, least, shifted.get(_dominant(j.estimates, largest)), new) for j in judgements]
 
 
 def _proposal(
@@ -113,13 +114,18 @@ def _proposal(
     )
 
 
-def _dominant(estimates: tuple[DriveEstimate, ...], known: Sequence[tuple[DriveEstimate, ...]]) -> Part:
+def _largest(known: Sequence[tuple[DriveEstimate, ...]]) -> dict[Part, float]:
+    """Largest magnitude of each part over the known drives; empty without any."""
+    every = [(j, part) for j in range(len(known[0])) for part in PARTS] if known else []
+    return {(j, part): max(abs(getattr(e[j], part)) for e in known) for j, part in every}
+
+
+def _dominant(estimates: tuple[DriveEstimate, ...], largest: dict[Part, float]) -> Part:
     """Output and part of a drive's estimate that is the farthest from the known ones, relative to these."""
 
     def beyond(place: Part) -> float:
         j, part = place
-        largest = max((abs(getattr(e[j], part)) for e in known), default=0.0)
-        return abs(getattr(estimates[j], part)) / max(largest, TINY)
+        return abs(getattr(estimates[j], part)) / max(largest.get(place, 0.0), TINY)
 
     return max(((j, part) for j in range(len(estimates)) for part in PARTS), key=beyond)
 
