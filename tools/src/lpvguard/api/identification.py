@@ -122,8 +122,8 @@ class Identified:
         folder : str or Path
         controller : str or Path, optional, controller.json or the folder of `design`
             Its certificates are proved again.
-        group : str, optional, group of drives whose thresholds are exported, by default the largest of all
-        groups
+        group : str, optional, group of drives whose thresholds are exported
+            By default the largest of all groups.
 
         Returns
         -------

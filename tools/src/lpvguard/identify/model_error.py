@@ -814,7 +814,7 @@ class ModelError:
         """
         fit_bands = partial(bands_of, domain, band_frequencies(self.grid, domain), project.seed)
         bands = fit_bands(None, joined(sums))
-        told = replace(
+        with_bands = replace(
             self,
             bands=[
                 {
@@ -832,13 +832,13 @@ class ModelError:
             ],
         )
         if project.bounds.nu_ceiling is not None:
-            return told
+            return with_bands
         others = [joined(sums[:k] + sums[k + 1 :]) for k in range(len(sums))] if len(sums) > 1 else []
         ratios = [
             covered(band_bound(project, self.grid, left), own)
             for left, own in zip(workers(partial(fit_bands, bands), others), folds, strict=False)
         ]
-        return replace(told, bound=band_bound(project, self.grid, bands), left_out=ratios)
+        return replace(with_bands, bound=band_bound(project, self.grid, bands), left_out=ratios)
 
     def at_bins(self, estimator: Estimator) -> np.ndarray:
         """(K, n_delta) the bound at the bins, 0 at DC."""

@@ -92,7 +92,7 @@ def _ratios(replay: Replay, replayer: Replayer) -> tuple[tuple[str, np.ndarray],
 
 
 def course(replay: Replay, replayer: Replayer, t0: float) -> tuple[np.ndarray, np.ndarray]:
-    """Compute ``course`` and ``verdict`` of a DriveSummary; ``t0``: time of the drive's first sample [s]."""
+    """Compute ``course`` (COLUMNS,) and ``verdict`` (COLUMNS,) of a DriveSummary; ``t0`` [s]: first time."""
     frames, samples = replay.run.frames, len(replay.run.verdict)
     ratio = np.full(COLUMNS, -np.inf)
     counted = frames.counted

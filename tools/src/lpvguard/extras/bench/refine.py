@@ -209,7 +209,7 @@ def rounds(
         lineage = Lineage.from_folder(folder, known if turn == 0 else None)
         with compiled(lineage.stored) as replayer:
             drives = [e for e in list_experiments(new) if e.name in healthy]
-            found = sum(run(partial(_fault_found, replayer), drives))
+            faults_found = sum(run(partial(_fault_found, replayer), drives))
         decisions, _ = decide(lineage, Evidence.from_paths(lineage, [new], "vehicle"), scratch, run)
         signed = decisions.accepting("bench", recentre=False)
         if size.inspect:
@@ -227,7 +227,7 @@ def rounds(
             "hours": len(healthy) * size.seconds / 3600,
             "false": sum(HEALTHY in statements for statements in refuted),
             "falsified": sum(CERTIFICATE in statements for statements in refuted),
-            "faults_found": found,
+            "faults_found": faults_found,
             "taken_for_faulty": sum(d.proposal == FAULTY and d.name in healthy for d in decisions.drives),
             "learnt": len(learnt & healthy),
             "worn_below": len(worn),

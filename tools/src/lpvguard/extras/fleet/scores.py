@@ -121,18 +121,17 @@ def recordings_of(
     workers: Map = map,
     progress: Callable[[str], None] = lambda _: None,
 ) -> list[Scored]:
-    """Score the recordings of drives, in the order of their first ones.
+    """Score the recordings of drives, in the order of their first drives.
 
-    The piece in which the length is reached gives its first samples to the score, and its sums in proportion.
-    Samples are kept until their recording is complete.
+    The samples of a recording are kept until it is complete.
 
     Parameters
     ----------
     replayer : Replayer
     experiments : Sequence of Experiment
-    judged_s : float, s, length
+    judged_s : float, s, judged driving per score
     workers : Map
-    progress : Callable, reports progress
+    progress : Callable, gets the name of each scored drive
 
     Returns
     -------
@@ -161,7 +160,21 @@ def recordings_of(
 
 
 def scored(replayer: Replayer, name: str, pieces: list[ScoredDrive], most: int) -> Scored:
-    """Join the pieces of a recording; ``most`` samples count."""
+    """Join the pieces of a recording, in the order of time.
+
+    The last piece that is needed contributes only its first samples to the score, and its sums in proportion.
+
+    Parameters
+    ----------
+    replayer : Replayer
+    name : str, of the recording
+    pieces : list of ScoredDrive
+    most : int, judged samples that a score needs
+
+    Returns
+    -------
+    Scored
+    """
     products, along = np.zeros_like(pieces[0].products), np.zeros_like(pieces[0].along)
     left, alarmed = most, False
     for piece in pieces:

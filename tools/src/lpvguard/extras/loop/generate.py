@@ -95,7 +95,7 @@ def truck_drive(path: Path, **options: object) -> None:
     Parameters
     ----------
     path : Path, table
-    options : of ``lpvguard_plant_tool generate``, ``_`` for ``-``
+    **options : object, options of ``lpvguard_plant_tool generate``, ``_`` for ``-``
 
     Raises
     ------

@@ -152,8 +152,8 @@ class Judge:
         self, experiments: Sequence[Experiment], vehicle: Mapping[str, str], workers: Map = map
     ) -> Iterator[Judgement]:
         """Judge drives, in order; ``vehicle`` by name of drive. Raises InputError as `_Cores.findings`."""
-        found = workers(self._cores.findings, experiments)
-        for e, f in zip(experiments, found, strict=True):
+        findings = workers(self._cores.findings, experiments)
+        for e, f in zip(experiments, findings, strict=True):
             like = _like(self.stored, f.scores)
             yield Judgement(e, vehicle[e.name], f.refutes, f.ratios, like, f.estimates, f.broken)
 
