@@ -212,22 +212,9 @@ def shared_class_names(package: Path) -> dict[str, list[str]]:
 
 
 def picture(package: Path) -> str:
-    """Which room imports which, as README shows it: a row imports from the columns that are marked."""
-    columns = ORDER[:-1]
-    head = " " * 10 + " ".join(columns)
-    rows = []
-    for room in ORDER:
-        may = declared(package, room)[1]
-        rows.append(
-            (
-                f"{room:10}"
-                + " ".join(
-                    ("x" if c in may else "." if ORDER.index(c) < ORDER.index(room) else " ").center(len(c))
-                    for c in columns
-                )
-            ).rstrip()
-        )
-    return "\n".join([head, *rows]) + "\n"
+    """Each room and the rooms that it imports, as README shows them."""
+    rows = [" ".join((f"{room:9}", *(c for c in ORDER if c in declared(package, room)[1]))) for room in ORDER]
+    return "\n".join(row.rstrip() for row in rows) + "\n"
 
 
 def exists(stop: tuple[str, str]) -> bool:
