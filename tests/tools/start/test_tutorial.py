@@ -141,8 +141,8 @@ def _of_use(folder: Path) -> None:
     values = {u["name"]: u["value"] for u in fitted["unknowns"]}
     assert 2.4 < values["L"] < 2.8 and 0.02 < values["input_delay_s"] < 0.05
     assert len(fitted["unseen"]) == 9 and min(q["vaf"][0] for q in fitted["unseen"]) > 0.99
-    assert 1.0 <= json.loads((folder / "found" / "calibration.json").read_text())["threshold"] < 3.0
-    seen = json.loads((folder / "found" / "visibility.json").read_text())
+    assert 1.0 <= json.loads((folder / "identified" / "calibration.json").read_text())["threshold"] < 3.0
+    seen = json.loads((folder / "identified" / "visibility.json").read_text())
     gains = [g for c in seen["at_percentile"] for g in c["gain_error"] if g is not None]
     assert sum(g <= 0.3 for g in gains) >= 15, "the monitor sees 30 % at the frequencies that drivers use"
     evaluated = json.loads((folder / "evaluated.json").read_text())
