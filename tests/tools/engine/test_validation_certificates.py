@@ -283,7 +283,7 @@ def test_a_ray_takes_real_and_turned_forms_and_says_where_nothing_is_proved():
     assert (length, y) == (0.0, None) and inverse.shape == q0[0].shape
 
 
-def test_a_certificate_has_at_most_64_rows_256_multipliers_and_groups_of_order_8():
+def test_a_certificate_has_at_most_64_rows_256_multipliers_and_groups_of_order_16():
     rng = np.random.default_rng(2)
     for n, groups, fits in (
         (16, 4 * [("psd", 4)], True),
@@ -294,7 +294,8 @@ def test_a_certificate_has_at_most_64_rows_256_multipliers_and_groups_of_order_8
         (2, 4 * [("psd", 8)], True),
         (65, [("psd", 1)], False),
         (2, [*4 * [("psd", 8)], ("free", 1)], False),
-        (2, [("psd", 9), ("psd", 1)], False),
+        (2, [("psd", 16)], True),
+        (2, [("psd", 17)], False),
     ):
         c = lmi.cone(groups)
         q0 = hermitian(rng, len(c.normal), n)
@@ -303,7 +304,7 @@ def test_a_certificate_has_at_most_64_rows_256_multipliers_and_groups_of_order_8
             assert inverse.shape == (n, n) and (y is None) == (length == 0.0)
             assert lmi.maximise_level(q0, c).y @ c.normal == pytest.approx(1.0)
         else:
-            with pytest.raises(InputError, match="at most 64, 256 and 8"):
+            with pytest.raises(InputError, match="at most 64, 256 and 16"):
                 lmi.ray_length(q0, 0 * q0, c)
 
 

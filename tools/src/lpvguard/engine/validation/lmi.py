@@ -16,7 +16,7 @@ import numpy as np
 from lpvguard.base import native
 from lpvguard.base.errors import InputError
 
-SIZES = ({"N": 16, "M": 64, "R": 4}, {"N": 64, "M": 256, "R": 8})
+SIZES = ({"N": 16, "M": 64, "R": 4}, {"N": 64, "M": 256, "R": 16})
 """Rows, multipliers and order of a group that the arrays of base/_native/ray.c hold, compiled for either."""
 
 
