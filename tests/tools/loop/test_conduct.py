@@ -8,7 +8,7 @@ import pytest
 from scipy.signal import lfilter
 
 from lpvguard.base.errors import InputError
-from lpvguard.extras.loop.campaign import conduct, scenarios, trucks
+from lpvguard.extras.loop.campaign import chunked_runs, conduct, scenarios, trucks
 from lpvguard.extras.loop.campaign.scenarios import Command, Drawn, PlannedRun
 from lpvguard.vehicle.nominal import NominalModel
 
@@ -241,3 +241,15 @@ def test_a_command_is_as_large_as_the_demand_allows(truck, speed):
 )
 def test_what_is_asked_for_and_not_proved(other, beyond):
     assert conduct.beyond_wish(row(**other)) is beyond
+
+
+def test_a_campaign_takes_a_folder_with_the_frame_tests_bounds_alone():
+    W, B, wider = np.full((3, 2), 0.4), np.full((3, 2), 0.01), np.full((3, 2), 0.9)
+    stored = SimpleNamespace(
+        folder="found", fitted=SimpleNamespace(of_core=lambda _: iter([(W, B), (wider, wider)]))
+    )
+    estimator, core = SimpleNamespace(omega=np.arange(3.0)), SimpleNamespace(folder="code")
+    chunked_runs._require_same(stored, SimpleNamespace(estimator=estimator, core=core, W_delta=W, B_w=B))
+    other = SimpleNamespace(estimator=estimator, core=core, W_delta=wider, B_w=wider)
+    with pytest.raises(InputError, match="code: bounds: are not those of the identification"):
+        chunked_runs._require_same(stored, other)
