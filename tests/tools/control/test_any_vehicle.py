@@ -20,7 +20,7 @@ from lpvguard.engine.synthesis.statespace import lft
 from lpvguard.extras.loop.generate import generate
 from lpvguard.identify import identification
 from lpvguard.vehicle.design_settings import DesignSettings
-from lpvguard.vehicle.project import Project, load_project
+from lpvguard.vehicle.project import NuCeiling, Project, load_project
 from made import run_example
 
 STEERING = {
@@ -53,8 +53,10 @@ FEW = [row for k, row in enumerate(fixture.PLAN) if k in (1, 2, 3, 7, 9)]
 
 
 def designable(name: str, **settings) -> Project:
-    """A shipped vehicle with a [design] table."""
-    return load_project(name).model_copy(update={"design": DesignSettings(**settings)})
+    """A shipped vehicle with a [design] table, and with the ceiling on nu that this design can stand."""
+    project, ceiling = load_project(name), NuCeiling(f_hz=[0.5, 2.0], nu=[0.1, 0.6])
+    bounds = project.bounds.model_copy(update={"nu_ceiling": ceiling})
+    return project.model_copy(update={"design": DesignSettings(**settings), "bounds": bounds})
 
 
 def identified_into(folder: Path, project: Project) -> None:
