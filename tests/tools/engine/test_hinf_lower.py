@@ -129,7 +129,7 @@ def test_the_reason_names_how_far_the_digits_move_the_optimum_and_what_is_known(
         pytest.param("dense_companion_weight", 7741, 15, "", id="1e-13 of the data moves it by 0.1 %"),
         pytest.param("dense_companion_weight", 7741, 86, "", id="rounding of the closed loop in its units"),
         pytest.param("dense", 7741, 465, "", id="the same, an optimum of 4.6e5"),
-        pytest.param("dense_companion_weight", 7741, 787, "decide on the optimum", id="digits decide"),
+        pytest.param("dense_companion_weight", 7741, 787, "depends on the last digits", id="digits decide"),
         pytest.param(
             "discrete", 7741, 465, "not proved", id="a norm that the bilinear map's rounding lowers"
         ),

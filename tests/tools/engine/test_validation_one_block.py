@@ -173,7 +173,7 @@ def test_a_last_block_at_its_cap_is_refused_and_below_it_is_not():
             size = abs(2 / (1 + 2 * g))
             assert lft.smallest_last_block(problem, 0.0) == pytest.approx((size, size), rel=1e-3)
         else:
-            with pytest.raises(InputError, match=r"block 2: needs 5, at or above its cap 3\.33333"):
+            with pytest.raises(InputError, match=r"block 2: needs 5, which is at or above its cap 3\.33333"):
                 lft.smallest_last_block(problem, 0.0)
 
 

@@ -176,7 +176,7 @@ def test_peaks_are_where_the_scores_come_from():
     frames = FrameLog(**rows, **{k: blank for k in FrameLog.__dataclass_fields__ if k not in rows})
     energy, change = np.zeros(500), np.zeros(500)
     energy[123], band = 0.7, np.full(500, 2)
-    run = Run(frames, blank, blank, energy, band, frames, change, frames, None)
+    run = Run(frames, blank, blank, energy, band, frames, change, frames, None, None)
     assert peaks(run, 1.0, Ts, length) == {"frame": Peak(6.0, 0, 1.5), "energy": Peak(123 * Ts, 2)}
 
 

@@ -175,6 +175,11 @@ def test_pieces_of_a_drive_name_the_parts_that_the_whole_drive_names(isolation):
     assert "since about 541 s" in names[1].says
 
 
+def test_drives_without_a_whole_window_are_refused(isolation):
+    with pytest.raises(InputError, match="window_s: no drive holds 60 s .* longer drives or a shorter"):
+        isolation.finished([[], []])
+
+
 @pytest.mark.parametrize(
     "isolation",
     [{"vehicle": ["mass"]}, {"speed_power": {"speed": 1}}, {"parts": {"nothing": "x"}}, {"window_s": 1}],

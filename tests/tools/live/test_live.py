@@ -40,7 +40,7 @@ def test_a_vehicle_on_two_interfaces_asks_for_one(replayer, faulty):
     both = replace(frames, channel=np.arange(4000) // 2000 % 2, channels=["can0", "can1"])
     watch = Watch(replayer, Given(), 3600)
     watch.take(both.at(slice(0, 1000)))
-    with pytest.raises(InputError, match="come from can0, can1; expected --channel"):
+    with pytest.raises(InputError, match="come from can0, can1; expected the option --channel"):
         watch.take(both.at(slice(1000, 3000)))
     watch.source.pieces = lambda: iter([both])
     watch.run()

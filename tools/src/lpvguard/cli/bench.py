@@ -16,8 +16,8 @@ def bench(
     name: Annotated[
         str,
         typer.Argument(
-            help="bounds, can, chain, core, fleet, isolation, lives, proofs, rates, refine, robust, "
-            "sharpness, soak, steer, synthesis or validation; NAME -- --help for options."
+            help="bounds, can, chain, confirmation, core, fleet, isolation, lives, proofs, rates, refine, "
+            "robust, sharpness, soak, steer, synthesis or validation; NAME -- --help for options."
         ),
     ],
 ) -> None:

@@ -159,7 +159,8 @@ def _weighted(
     smooth = gamma_w.magnitude(estimator.omega)
     second, W_delta = run.uncertainty(first, smooth, error, chosen.setting)
     bounds = run.bounds(first, smooth, second, W_delta, chosen.setting)
-    healthy = partial(run.healthy, error, bounds.B_w_floor, chosen.setting)
+    floor = np.fmax(bounds.B_w_floor, smallest_disturbance(bounds.B2))
+    healthy = partial(run.healthy, error, floor, chosen.setting)
     rest = gamma_w, W_delta, noise, first["E"], command, run.workers
     if project.bounds.nu_ceiling is not None:
         weights = fit_weights(project, estimator, bounds, *rest)

@@ -19,6 +19,7 @@ from operator import add
 import numpy as np
 from scipy.stats import t as student
 
+from ..base.errors import InputError
 from ..base.runs import runs
 from ..drives.frames import Estimator
 from ..drives.tables import Drive
@@ -401,9 +402,17 @@ class Isolation:
         """With the sizes and limits of healthy drives, from the windows of each.
 
         The limits are those of windows that are judged by the sizes of other drives, of all but a fold.
+        Raises InputError without a whole window.
         """
         drives = [list(drive_windows) for drive_windows in windows if drive_windows]
         every = [w for drive_windows in drives for w in drive_windows]
+        if not every:
+            raise InputError(
+                "isolation",
+                "window_s",
+                f"no drive holds {self.window_s:g} s of settled driving without a gap",
+                "longer drives or a shorter window",
+            )
         per_s = np.mean([w.G for w in every], axis=0) / self.window_s
         made = replace(self._with_sizes(drives), per_s=per_s)
         folds = min(FOLDS, len(drives))

@@ -69,7 +69,8 @@ def pieces_of(changes: Changes, drives: Sequence[Drive], window_s: float) -> lis
     """Pieces of drives that each hold a window, with a name. Pieces of one name are held out together: those
     of a drive, or each piece of a single drive."""
     Ts = changes.project.Ts_s
-    length = changes.estimator.settle + round(window_s / Ts) + changes.step
+    unused = max(changes.estimator.settle, changes.ahead) + changes.ahead + changes.step
+    length = round(window_s / Ts) + unused
     pieces = []
     for d in drives:
         for k in range(len(d.t) // length):
