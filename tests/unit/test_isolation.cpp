@@ -38,7 +38,7 @@ void with_parameter(double change, Real* base, Real (*cell)[LPVG_NVARYING][4]) {
     }
 }
 
-// What differs in the vehicle.
+// Difference of the vehicle.
 struct Fault {
     double gain[signals]{}, bias[signals]{};
     uint32_t late[ny]{};  // samples
@@ -106,9 +106,9 @@ public:
             REQUIRE(static_cast<double>(k) * period_s() < 3.0 * window_s);
             step();
         }
-        return isolation.found;
+        return isolation.newest;
     }
-    // What is measured one period on.
+    // Measurement one period later.
     void next() {
         const double t = period_s() * count_;
         const double mean = 0.5 * static_cast<double>(coeff().speed_min + coeff().speed_max),
@@ -216,7 +216,7 @@ private:
 void require_named(const Fault& fault, uint32_t part, uint32_t size, double value) {
     Vehicle vehicle;
     CHECK(!vehicle.judged().differs);
-    CHECK(vehicle.isolation.found.parts == 0U);
+    CHECK(vehicle.isolation.newest.parts == 0U);
     vehicle.fault = fault;
     vehicle.judged();
     const lpvg_parts_t& found = vehicle.judged();
@@ -287,7 +287,7 @@ TEST_CASE("parts that no driving tells apart are named together, two faults at o
         vehicle.fault.bias[j] = 0.3 * vehicle.rms_of(j);
         vehicle.judged();
         CHECK((vehicle.judged().parts & 1U) == 1U);
-        CHECK(vehicle.isolation.found.size == 3U * j + 2U);
+        CHECK(vehicle.isolation.newest.size == 3U * j + 2U);
     }
 }
 
@@ -361,7 +361,7 @@ TEST_CASE("an alarm just after a window's end begins the next one", "[REQ-ISO-2]
     CHECK(vehicle.alarmed() == alarm_us);
     CHECK(vehicle.isolation.closing);
     CHECK(vehicle.judged().until_us == alarm_us - 60000);
-    CHECK(!vehicle.isolation.found.alarmed);
+    CHECK(!vehicle.isolation.newest.alarmed);
     CHECK(vehicle.isolation.from_us == alarm_us);
     CHECK(vehicle.isolation.alarmed);
     // While the window before is judged, too.
@@ -393,7 +393,7 @@ TEST_CASE("few parts have no two others, and a window without blocks does not di
     vehicle.measured_speed = 0.95 * static_cast<double>(coeff().speed_min);
     vehicle.judged();
     CHECK(!vehicle.judged().differs);
-    CHECK(vehicle.isolation.found.parts == 0U);
+    CHECK(vehicle.isolation.newest.parts == 0U);
 }
 
 TEST_CASE("parts are named until they are sure together", "[REQ-ISO-1]") {
@@ -475,8 +475,8 @@ TEST_CASE("a gap just after a window's end judges what the window has", "[REQ-IS
     vehicle.t_us += 1000000;
     vehicle.step();
     CHECK(vehicle.isolation.windows == 1U);
-    CHECK(!vehicle.isolation.found.differs);
-    CHECK(vehicle.isolation.found.until_us == 1000000 * static_cast<int64_t>(window_s));
+    CHECK(!vehicle.isolation.newest.differs);
+    CHECK(vehicle.isolation.newest.until_us == 1000000 * static_cast<int64_t>(window_s));
     // Another one while a window is judged does not judge it twice.
     while (!vehicle.isolation.judging) {
         vehicle.step(false);
@@ -557,7 +557,7 @@ TEST_CASE("sums that are not finite name nothing and end", "[REQ-ISO-4]") {
         }
     });
     CHECK(!vehicle.judged().differs);
-    CHECK(vehicle.isolation.found.parts == 0U);
+    CHECK(vehicle.isolation.newest.parts == 0U);
 }
 
 TEST_CASE("a table that is foreign, damaged, not finite or not allowed is refused", "[REQ-ISO-4]") {

@@ -12,7 +12,7 @@
 ///          The monitor does not depend on the isolation.
 /// Cost:    take steps 2 LPVG_NU + 2 models. work is constant: one call adds a block, or judges one hypothesis. No heap, no locks, no I/O.
 /// Threads: one object per thread. take and work must not interrupt each other.
-/// RAM:     sizeof(lpvg_isolation_t). The stack of work holds a second `gram`. Fields are private, except `found` and `windows`.
+/// RAM:     sizeof(lpvg_isolation_t). The stack of work holds a second `gram`. Fields are private, except `newest` and `windows`.
 #ifndef LPVGUARD_ISOLATION_H
 #define LPVGUARD_ISOLATION_H
 
@@ -82,7 +82,7 @@ typedef struct lpvg_isolation_table_t {
 /* clang-format on */
 /* layout: end */
 
-/// What a window names.
+/// Finding of a window.
 typedef struct lpvg_parts_t {
     bool differs;        ///< the window does not agree with a healthy vehicle
     bool alarmed;        ///< an alarm began the window
@@ -103,7 +103,7 @@ typedef struct lpvg_response_t {
 
 typedef struct lpvg_isolation_t {
     const lpvg_isolation_table_t* table;
-    lpvg_parts_t found;  ///< by the newest judged window
+    lpvg_parts_t newest;  ///< of the newest judged window
     uint32_t windows;    ///< number of judged windows
     /// Responses to inputs of 1, to single inputs beside the first one, at another speed, and with other parameters.
     lpvg_response_t response[LPVG_ISOLATION_RESPONSES];

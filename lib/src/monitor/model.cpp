@@ -15,24 +15,12 @@ using lpvguard::Matrix;
 constexpr int nx = LPVG_NX, nu = LPVG_NU, ny = LPVG_NY;
 constexpr Real no_speed = std::numeric_limits<Real>::lowest();  // a small negative one is a reading that sensors give
 
-// Entries at the speed: the constant ones, and the cubic of the speed's cell for those that vary.
+// Entries at the speed; the constant ones stay.
 void set_speed(lpvg_model_t* self, const lpvg_coeff_t* coeff, Real speed) {
     if (speed == self->speed) {
         return;
     }
-    const lpvg_coeff_reals_t& r = coeff->reals;
-    const Real inside = speed < r.speed_min ? r.speed_min : (speed > r.speed_max ? r.speed_max : speed);
-    const Real position = (inside - r.speed_min) / (r.speed_max - r.speed_min) * Real(LPVG_NCELLS);
-    // Damaged coefficients may make no number of it; it is never above LPVG_NCELLS.
-    const Real bounded = position > Real(0) ? position : Real(0);
-    auto cell = static_cast<std::size_t>(bounded);
-    cell = cell < LPVG_NCELLS ? cell : LPVG_NCELLS - 1U;
-    const Real x = bounded - static_cast<Real>(cell);
-    for (std::size_t i = 0; i < LPVG_NVARYING; ++i) {
-        const Real* p = r.cell[cell][i];
-        const uint32_t index = coeff->words.varying_entry[i];
-        self->entry[index < LPVG_NENTRIES ? index : 0U] = p[0] + x * (p[1] + x * (p[2] + x * p[3]));
-    }
+    lpvguard::set_varying(*coeff, coeff->reals.cell, speed, self->entry);
     self->speed = speed;
     self->sum = lpvguard::sum_of_words(self->entry);
 }

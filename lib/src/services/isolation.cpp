@@ -65,7 +65,7 @@ Real exp_of(Real x) {
     return sum;
 }
 
-// Where the product of items a and b of (error, columns) is; a is not above b.
+// Index of the product of items a and b of (error, columns); a is not above b.
 std::size_t at(std::size_t a, std::size_t b) { return a * (2U * m + 1U - a) / 2U + b; }
 
 Real gram_of(const lpvg_isolation_t& self, std::size_t i, std::size_t k) {
@@ -117,27 +117,17 @@ Outputs output_of(const lpvg_response_t& of, const lpvg_coeff_t& coeff) {
     return y;
 }
 
-// Entries of a model at a speed, as model.cpp has them. Shared code would move the compiled step of every vehicle.
+// Entries of a model at a speed.
 void entries_at(const lpvg_coeff_t& coeff, const Real* base, const Real (*cell)[LPVG_NVARYING][4], Real speed, Real* entry) {
-    const lpvg_coeff_reals_t& r = coeff.reals;
-    const Real inside = speed < r.speed_min ? r.speed_min : (speed > r.speed_max ? r.speed_max : speed);
-    const Real position = (inside - r.speed_min) / (r.speed_max - r.speed_min) * Real(LPVG_NCELLS);
-    auto k = static_cast<std::size_t>(larger(position, Real(0)));
-    k = k < LPVG_NCELLS ? k : LPVG_NCELLS - 1U;
-    const Real x = position - static_cast<Real>(k);
     for (std::size_t i = 0; i < LPVG_NENTRIES; ++i) {
         entry[i] = base[i];
     }
-    for (std::size_t i = 0; i < LPVG_NVARYING; ++i) {
-        const Real* const p = cell[k][i];
-        const uint32_t index = coeff.words.varying_entry[i];
-        entry[index < LPVG_NENTRIES ? index : 0U] = p[0] + x * (p[1] + x * (p[2] + x * p[3]));
-    }
+    lpvguard::set_varying(coeff, cell, speed, entry);
 }
 
 // --- blocks ---
 
-// Of the means of a ring over block b, `shift` halves later.
+// Mean of a ring over block b, `shift` halves later.
 Outputs mean_of(const lpvg_isolation_t& self, uint32_t b, int shift, std::size_t row) {
     const uint32_t first = 2U * b + static_cast<uint32_t>(shift);
     Outputs mean{};
@@ -258,7 +248,7 @@ public:
             }
         }
     }
-    // Of the root's inverse times b; returns its square.
+    // Solves with the root for b; returns the square of the result.
     Real lowered(Sizes& b) const {
         Real square = Real(0);
         for (std::size_t i = 0; i < m; ++i) {
@@ -270,7 +260,7 @@ public:
         }
         return square;
     }
-    // Of its transpose's inverse times b.
+    // Solves with the root's transpose for b.
     void raised(Sizes& b) const {
         for (std::size_t i = m; i-- > 0U;) {
             b[i] /= root(i, i);
@@ -302,7 +292,7 @@ void spreads(const lpvg_isolation_t& self, uint32_t faulty, Sizes& spread) {
     }
 }
 
-// What the healthy mean leaves of the sums with the error, by spreads.
+// Sums with the error without those of the healthy mean, by spreads.
 void change_of(const lpvg_isolation_t& self, const Sizes& spread, Sizes& b) {
     for (std::size_t i = 0; i < m; ++i) {
         b[i] = self.gram[at(0U, i + 1U)];
@@ -334,12 +324,12 @@ std::size_t likeliest(const lpvg_isolation_t& self) {
     return best;
 }
 
-// Whether the window does not agree with a healthy vehicle.
+// True if the window does not agree with a healthy vehicle.
 bool differs(const lpvg_isolation_t& self) {
     return self.count > 0U && self.fit[likeliest(self)] - self.fit[healthy] > (self.alarmed ? Real(0) : self.table->reals.least);
 }
 
-// Whether a single part explains it.
+// True if a single part explains the window.
 bool explained(const lpvg_isolation_t& self) {
     const std::size_t best = likeliest(self);
     const Real against = self.fit[best] - self.fit[healthy];
@@ -398,10 +388,10 @@ void estimate(lpvg_isolation_t& self) {
         const Real half_width = interval * std::sqrt(factored.lowered(chosen) + variance);
         if (std::abs(value) > surest * half_width) {
             surest = std::abs(value) / half_width;
-            self.found.size = static_cast<uint32_t>(size);
-            self.found.value = value;
-            self.found.low = value - half_width;
-            self.found.high = value + half_width;
+            self.newest.size = static_cast<uint32_t>(size);
+            self.newest.value = value;
+            self.newest.low = value - half_width;
+            self.newest.high = value + half_width;
         }
     }
 }
@@ -416,13 +406,13 @@ void open_next(lpvg_isolation_t& self) {
 }
 
 void end_judgement(lpvg_isolation_t& self, uint32_t parts) {
-    lpvg_parts_t& found = self.found;
-    found.differs = differs(self);
-    found.alarmed = self.alarmed;
-    found.parts = parts;
-    found.likeliest = static_cast<uint32_t>(likeliest(self));
-    found.from_us = self.from_us;
-    found.until_us = self.until_us;
+    lpvg_parts_t& newest = self.newest;
+    newest.differs = differs(self);
+    newest.alarmed = self.alarmed;
+    newest.parts = parts;
+    newest.likeliest = static_cast<uint32_t>(likeliest(self));
+    newest.from_us = self.from_us;
+    newest.until_us = self.until_us;
     ++self.windows;
     open_next(self);
 }
@@ -440,7 +430,7 @@ void judge(lpvg_isolation_t& self) {
         return;
     }
     if (step == pairs_begin) {
-        self.found = lpvg_parts_t{};
+        self.newest = lpvg_parts_t{};
         self.pair_parts = 0U;
     }
     if (!differs(self) || !explained(self)) {

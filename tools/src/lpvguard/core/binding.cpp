@@ -54,7 +54,7 @@ void write_cause(const lpvg_diagnosis_t& d, std::size_t j, double* row) {
     std::memcpy(row, numbers, sizeof numbers);
 }
 
-// What the newest judged window names.
+// The finding of the newest judged window.
 void write_parts(const lpvg_parts_t& f, double* row) {
     const double numbers[part_columns] = {static_cast<double>(f.from_us), static_cast<double>(f.until_us), f.alarmed ? 1.0 : 0.0,
                                           f.differs ? 1.0 : 0.0,          static_cast<double>(f.parts),    static_cast<double>(f.likeliest),
@@ -190,7 +190,7 @@ int64_t lpvgb_run(void* opaque, int64_t n, const int64_t* t_us, const double* v,
             while (lpvg_isolation_work(isolation, monitor)) {
             }
             if (isolation->windows != before && *n_windows < max_windows) {
-                write_parts(isolation->found, windows + part_columns * *n_windows);
+                write_parts(isolation->newest, windows + part_columns * *n_windows);
                 ++*n_windows;
             }
         }
