@@ -81,6 +81,22 @@ def _enum(header: str, name: str) -> tuple[str, ...]:
 VERDICTS = _enum("monitor.h", "lpvg_verdict_t")
 ALARMING = ("invalid", "degraded")
 """Verdicts that an alarm of a test can cause."""
+
+
+def is_alarming(verdict: np.ndarray) -> np.ndarray:
+    """Mark verdicts that an alarm can cause.
+
+    Parameters
+    ----------
+    verdict : ndarray (N,) of int, codes of monitor.h
+
+    Returns
+    -------
+    ndarray (N,) of bool
+    """
+    return np.isin(verdict, [VERDICTS.index(word) for word in ALARMING])
+
+
 REASONS = _enum("monitor.h", "lpvg_reason_t")
 TESTS = _enum("monitor.h", "lpvg_test_t")
 CAUSES = _enum("cause.h", "lpvg_cause_t")

@@ -15,7 +15,7 @@ import numpy as np
 
 from ..base.errors import InputError
 from ..base.parallel import Map
-from ..core.compiled import ALARMING, VERDICTS, Core
+from ..core.compiled import Core, is_alarming
 from ..drives.faults import inject, stated
 from ..drives.frames import not_for_the_core
 from ..drives.tables import EXPERIMENTS, Experiment
@@ -192,12 +192,11 @@ def _alarms_of_drive(
 ) -> int:
     """Number of faults that alarm in a drive; 0 where it alarms untouched."""
     drive, Ts = reader.read(experiment)[0], reader.estimator.Ts
-    alarming = [VERDICTS.index(verdict) for verdict in ALARMING]
-    if np.isin(core.monitor().run_drive(drive).verdict, alarming).any():
+    if is_alarming(core.monitor().run_drive(drive).verdict).any():
         return 0
     faults = stated(settings, drive.y.std(axis=0))
     starts = [drive.duration_s / 3 if f.kind == "freeze" else 0.0 for f in faults]
     return sum(
-        bool(np.isin(core.monitor().run_drive(inject(drive, f, start, Ts)).verdict, alarming).any())
+        bool(is_alarming(core.monitor().run_drive(inject(drive, f, start, Ts)).verdict).any())
         for f, start in zip(faults, starts, strict=True)
     )

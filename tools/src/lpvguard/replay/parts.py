@@ -11,7 +11,7 @@ import numpy as np
 
 from ..base import artefacts
 from ..base.runs import runs
-from ..core.compiled import ALARMING, VERDICTS
+from ..core.compiled import VERDICTS, is_alarming
 from ..drives.tables import Drive
 from ..identify.identification import ISOLATION
 from ..identify.isolation import VEHICLE, Changes, Isolation, PartFinding
@@ -71,8 +71,7 @@ def alarms_begin(verdict: np.ndarray, alarming: bool = False) -> tuple[np.ndarra
     bool, whether it alarms after the last sample
     """
     judged = ~np.isin(verdict, [VERDICTS.index(word) for word in ("stale", "fault")])
-    alarms = np.isin(verdict[judged], [VERDICTS.index(word) for word in ALARMING])
-    state, begin = np.r_[alarming, alarms], np.zeros(len(verdict), bool)
+    state, begin = np.r_[alarming, is_alarming(verdict[judged])], np.zeros(len(verdict), bool)
     begin[judged] = state[1:] & ~state[:-1]
     return begin, bool(state[-1])
 

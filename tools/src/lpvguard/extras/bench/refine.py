@@ -23,7 +23,7 @@ import numpy as np
 
 from ...base.artefacts import write_files
 from ...base.parallel import Map, workers
-from ...core.compiled import ALARMING, VERDICTS
+from ...core.compiled import is_alarming
 from ...drives import fixture
 from ...drives.faults import Fault, inject
 from ...drives.tables import Experiment, index_text, list_experiments
@@ -175,12 +175,11 @@ def fleet_drives(
 
 
 def _fault_found(replayer: Replayer, experiment: Experiment) -> bool:
-    """Whether a drive alarms with a gain fault from the first sample on."""
+    """Tell if a drive alarms with a gain fault from the first sample on."""
     drive = inject(
         replayer.read_file(experiment.path).drive, Fault("gain", FAULT), 0.0, replayer.project.Ts_s
     )
-    alarming = [VERDICTS.index(v) for v in ALARMING]
-    return bool(np.isin(replayer.replay(drive).run.verdict, alarming).any())
+    return bool(is_alarming(replayer.replay(drive).run.verdict).any())
 
 
 def _inspected(signed: Decisions, healthy: set[str]) -> Decisions:

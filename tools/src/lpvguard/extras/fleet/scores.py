@@ -22,7 +22,7 @@ import numpy as np
 from ...base import artefacts
 from ...base.errors import InputError
 from ...base.parallel import Map
-from ...core.compiled import ALARMING, CHANGE_PARTS, VERDICTS
+from ...core.compiled import CHANGE_PARTS, is_alarming
 from ...drives.tables import Drive, Experiment
 from ...identify.bounds import nominal_error
 from ...identify.change import Blocks
@@ -66,7 +66,7 @@ class ScoredDrive:
             products += np.einsum("mji,mjk->jik", phi, phi)
             along += np.einsum("mji,mj->ji", phi, blocks.e)
         until = judged[-1] + 1 if len(judged) else 0
-        alarmed = np.isin(run.verdict[:until], [VERDICTS.index(v) for v in ALARMING]).any()
+        alarmed = is_alarming(run.verdict[:until]).any()
         return cls(drive.name, drive.name, "", run.change[judged], products, along, bool(alarmed))
 
 
