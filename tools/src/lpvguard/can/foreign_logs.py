@@ -30,8 +30,14 @@ def reader_of(path: Path) -> Callable[[Path, Path | None], Table] | None:
     """The reader of a log of one of these forms, None for any other; given path and schema."""
     if path.is_dir():
         return _rosbag if (path / "metadata.yaml").is_file() else None
-    by_suffix = {".bag": _rosbag, ".mcap": _mcap, ".ulg": _ulog, ".bin": _dataflash, ".tlog": _telemetry}
-    by_suffix[".db3"] = _rosbag
+    by_suffix = {
+        ".bag": _rosbag,
+        ".db3": _rosbag,
+        ".mcap": _mcap,
+        ".ulg": _ulog,
+        ".bin": _dataflash,
+        ".tlog": _telemetry,
+    }
     if path.suffix.lower() == ".log" and path.is_file():
         with path.open("rb") as stream:
             return _dataflash if stream.read(9) == b"FMT, 128," else None

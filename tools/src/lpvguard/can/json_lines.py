@@ -8,10 +8,8 @@ from typing import Any
 import pyarrow as pa
 
 from ..base.errors import InputError
+from .foreign_logs import DEEPEST
 from .text_tables import TextTable, decoded
-
-_DEEPEST = 4
-"""Fields further down are no signals of a vehicle."""
 
 
 def read_json(data: bytes, path: Path) -> TextTable:
@@ -47,7 +45,7 @@ def read_json(data: bytes, path: Path) -> TextTable:
 
 def _fields(name: str, value: Any, depth: int) -> Iterator[tuple[str, str]]:
     """Names and texts of an object's fields."""
-    if isinstance(value, dict) and depth < _DEEPEST:
+    if isinstance(value, dict) and depth < DEEPEST:
         for key, inside in value.items():
             yield from _fields(f"{name}.{key}" if name else str(key), inside, depth + 1)
     elif isinstance(value, bool | int | float | str):

@@ -7,9 +7,8 @@ decoded  CSV, VBOX, JSON, Parquet and MATLAB files with one column a signal, tex
          (long_tables.py), folders with one of them a topic (topics.py), MF4 with one channel a signal;
          rosbag, MCAP, ULog, DataFlash and openpilot's logs (foreign_logs.py)
 
-candump goes through a compiled parser, or through a slow one in Python when there is no compiler; the result
-is the same. Other raw forms go through python-can (which takes a bus-off report of a candump log as a frame)
-and asammdf.
+candump goes through a compiled parser. Other raw forms go through python-can (which takes a bus-off report of
+a candump log as a frame) and asammdf.
 """
 
 import ctypes
@@ -205,7 +204,7 @@ def _is_table(path: Path) -> bool:
     """Return whether a file with a name of candump holds a table: numbers in named columns, no frame."""
     from .text_tables import read_text_table
 
-    head = unpacked(path)[:_HEAD]
+    head = unpacked(path, _HEAD)
     if _SCREEN.search(head) or any(_LINE.fullmatch(line) for line in head.split(b"\n")):
         return False
     try:

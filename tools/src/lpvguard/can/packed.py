@@ -2,7 +2,6 @@
 
 import bz2
 import gzip
-import io
 import lzma
 import zipfile
 import zlib
@@ -26,7 +25,7 @@ _UNPACK: dict[str, Callable[[bytes], bytes]] = {
     ".xz": lzma.decompress,
     ".zst": _zstandard,
 }
-"""What unpacks a file, by its suffix."""
+"""Functions that unpack a file, by its suffix."""
 PACKED = frozenset((*_UNPACK, ".zip"))
 """Suffixes of packed files."""
 
@@ -61,12 +60,13 @@ def name_inside(path: Path) -> str:
     return files[0]
 
 
-def unpacked(path: Path) -> bytes:
+def unpacked(path: Path, most: int | None = None) -> bytes:
     """Read a file, unpacked as its suffix says.
 
     Parameters
     ----------
     path : Path
+    most : int, optional, number of first bytes, by default all
 
     Returns
     -------
@@ -79,12 +79,13 @@ def unpacked(path: Path) -> bytes:
     """
     inside = name_inside(path)
     try:
-        data = path.read_bytes()
+        if path.suffix.lower() not in PACKED:
+            with path.open("rb") as stream:
+                return stream.read(most)
         if path.suffix.lower() == ".zip":
-            with zipfile.ZipFile(io.BytesIO(data)) as archive:
-                return archive.read(inside)
-        unpack = _UNPACK.get(path.suffix.lower())
-        return unpack(data) if unpack else data
+            with zipfile.ZipFile(path) as archive:
+                return archive.read(inside)[:most]
+        return _UNPACK[path.suffix.lower()](path.read_bytes())[:most]
     except (
         OSError,
         EOFError,
