@@ -77,7 +77,7 @@ public:
         return engaged;
     }
 
-    // Whether the demand is larger than that of a probing engagement.
+    // True if the demand is larger than that of a probing engagement.
     bool beyond_probing() const {
         const auto probing = static_cast<double>(LPVG_ECU_PROBE_SHARE) * static_cast<double>(bench.ecu.kept.u_max);
         return std::fabs(static_cast<double>(bench.ecu.control.u[0])) > 1.001 * probing;

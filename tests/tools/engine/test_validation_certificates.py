@@ -87,7 +87,7 @@ def test_the_best_level_with_matrix_multipliers_is_a_semidefinite_solvers(seed, 
 
 @pytest.mark.parametrize("shift", [5.0, 0.0])
 def test_a_level_is_known_to_a_tenth_or_a_billionth_unless_asked_for_more(shift):
-    """Of real forms, too."""
+    """Real forms are taken, too."""
     q = np.stack([np.diag([1.0, -1.0]), np.diag([-1.0, 1.0])]) + shift * np.eye(2)
     c = lmi.cone(2 * [("psd", 1)])
     default, stated = lmi.maximise_level(q, c), lmi.maximise_level(q + 0j, c, relative=0.1, absolute=1e-9)

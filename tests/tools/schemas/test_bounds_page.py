@@ -13,7 +13,7 @@ from lpvguard.extras.problems.solve import solve_problem
 from made import ROOT
 
 WORDS = re.compile(r"bound|certif|prove|lower|upper|above|margin|at (most|least)|no controller|promise", re.I)
-"""What calls a number a bound, in its name or its description."""
+"""Words that call a number a bound, in its name or its description."""
 FILES = ("controller", "weights", "energy", "bounds", "robust", "table2", "tradeoff", "recertification")
 NO_BOUNDS = {
     *("test", "scaling", "basis", "P", "coefficients_sha256"),  # means of a proof

@@ -270,7 +270,7 @@ def _input_limits(problem: DesignProblem, schedule: Scheduled) -> np.ndarray:
 
 
 def _limited_by(schedule: Scheduled, limits: np.ndarray) -> bool:
-    """Whether a schedule has these input limits."""
+    """Tell if a schedule has these input limits."""
     return schedule.u_max.shape == limits.shape and np.allclose(schedule.u_max, limits, rtol=1e-9, atol=0)
 
 

@@ -39,5 +39,5 @@ class Block:
 
     @property
     def repeated(self) -> bool:
-        """Whether the block is one scalar times the identity."""
+        """Tell if the block is one scalar times the identity."""
         return self.kind != "full"

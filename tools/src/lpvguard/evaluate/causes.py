@@ -66,7 +66,7 @@ class OutputCause:
 
     @property
     def held(self) -> bool | None:
-        """Whether the interval of a right cause holds the truth; None if there is no interval or no right
+        """Tell if the interval of a right cause holds the truth; None if there is no interval or no right
         cause."""
         if self.judgement != RIGHT or self.truth is None or self.low is None or self.high is None:
             return None
@@ -146,7 +146,7 @@ def _size(fault: Fault, j: int, share: float, Ts: float) -> float:
 
 
 def _uneven(y: np.ndarray) -> bool:
-    """Whether the two halves of the record (N, n_y) differ by the ratio UNEVEN or more in any output."""
+    """Tell if the two halves of the record (N, n_y) differ by the ratio UNEVEN or more in any output."""
     edges = (0, len(y) // 2, len(y))
     sizes = np.array([np.sqrt(np.mean(y[a:b] ** 2, axis=0)) for a, b in pairwise(edges)])
     return bool((sizes.max(axis=0) >= UNEVEN * sizes.min(axis=0)).any())

@@ -179,7 +179,7 @@ def _drive_scores(replay: Replay) -> dict[str, float | None]:
 
 
 def _stated(c: Calibration) -> dict:
-    """What a calibration guarantees, for the row of a drive."""
+    """Guarantee of a calibration, for the row of a drive."""
     return {
         "threshold": c.threshold,
         "drives": len(c.scores),

@@ -148,7 +148,7 @@ def _one_block(problem: Quadratic, caps: np.ndarray, scaled: ScaledProblem) -> I
 
 
 def _last_block_is_free(problem: Lft, gamma_w: float, gap: float, max_nodes: int) -> bool:
-    """Whether e is explained without the last block, by a disturbance of at most gamma_w.
+    """Tell if e is explained without the last block, by a disturbance of at most gamma_w.
 
     Only for structures with repeated blocks. Otherwise the least-squares point of
     :meth:`quadratic.Quadratic.zero` decides.

@@ -34,7 +34,7 @@ class Form:
 
 
 def cancels(a: np.ndarray, z: np.ndarray) -> bool:
-    """Whether a @ z is zero up to the rounding of its terms; ``a`` (r, n), ``z`` (n,)."""
+    """Tell if a @ z is zero up to the rounding of its terms; ``a`` (r, n), ``z`` (n,)."""
     return bool(np.linalg.norm(a @ z) <= CANCELLED * np.linalg.norm(np.abs(a) @ np.abs(z)))
 
 

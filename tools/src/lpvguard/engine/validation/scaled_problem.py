@@ -137,7 +137,7 @@ class ScaledProblem:
         return self._w
 
     def constant_eta(self, i: int) -> bool:
-        """Whether the input of block ``i`` is constant, independent of the free variables."""
+        """Tell if the input of block ``i`` is constant, independent of the free variables."""
         return not np.any(self.eta[i][:, :-1])
 
     def signals(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -1,4 +1,4 @@
-"""What confirmation costs and brings: k of the last m frames must exceed the threshold (THEORY 7.20).
+"""Cost and benefit of confirmation: k of the last m frames must exceed the threshold (THEORY 7.20).
 
 A fleet has frames of 10 s, of the families of ``bench rates``. For every design k of m the tail of the k-th
 largest of the last m scores gives the threshold at a promised rate. Counted are the alarms on fresh hours of

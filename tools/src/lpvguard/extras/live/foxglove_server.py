@@ -56,7 +56,7 @@ class FoxgloveServer:
         self.url = f"ws://{LOOPBACK}:{self._server.port}"
 
     def listens(self) -> bool:
-        """Whether a client subscribes to a topic."""
+        """Tell if a client subscribes to a topic."""
         return any(channel.has_sinks() for channel in self._channels.values())
 
     def hear(self, series: pa.Table, alarms: list[Alarm], parts: Sequence[dict[str, Any]] = ()) -> None:

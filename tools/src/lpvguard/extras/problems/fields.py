@@ -24,7 +24,7 @@ class Fields:
         return InputError(self.source, where, what, expected)
 
     def has(self, name: str) -> bool:
-        """Whether the field exists and is not null."""
+        """Tell if the field exists and is not null."""
         return self.problem.get(name) is not None
 
     def raw(self, name: str) -> Any:

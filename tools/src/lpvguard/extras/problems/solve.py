@@ -129,7 +129,7 @@ def _solve_margin(f: Fields) -> dict:
 
 
 def _within(e: np.ndarray, z: np.ndarray, reach: float, w: np.ndarray) -> bool:
-    """Whether one delta within ``reach`` gives |E_j - delta Z_j| <= ``w`` (n,) for every output.
+    """Tell if one delta within ``reach`` gives |E_j - delta Z_j| <= ``w`` (n,) for every output.
 
     If discs have a common point, a centre of a disc or a crossing of two circles is common, too.
     """
@@ -250,7 +250,7 @@ class Comparison:
 
     @property
     def ok(self) -> bool:
-        """Whether no field missed; also True if there was nothing to compare with."""
+        """True if no field missed; also True if there was nothing to compare with."""
         return not self.misses
 
 

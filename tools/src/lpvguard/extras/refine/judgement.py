@@ -107,7 +107,7 @@ class _Cores:
 
 @dataclass(frozen=True)
 class _Findings:
-    """What the cores say of a drive, as of `Judgement`; ``scores`` by test, None: it judged nothing."""
+    """Statements of the cores on a drive, as of `Judgement`; ``scores`` by test, None: it judged nothing."""
 
     refutes: tuple[str, ...]
     ratios: dict[str, float]

@@ -56,7 +56,7 @@ def _core_words(stored: StoredIdentification, replayer: Replayer | None) -> str:
 
 
 def _claim(stored: StoredIdentification) -> str:
-    """What the frame test's threshold promises."""
+    """Promise of the frame test's threshold."""
     calibration = stored.calibration
     if calibration.groups or calibration.extrapolation is not None:
         return escape(calibration.claim())
@@ -72,7 +72,7 @@ def _claim(stored: StoredIdentification) -> str:
 
 
 def _conditional_claim(stored: StoredIdentification) -> str:
-    """What the threshold promises with 95 % confidence over the calibration drives."""
+    """Promise of the threshold with 95 % confidence over the calibration drives."""
     bound = stored.calibration.conditional_bound
     if bound is None:
         return "–"
