@@ -172,4 +172,3 @@ def test_pools_are_read_back_as_written(identified):
     )
     assert np.array_equal(again.scale(), pools.scale()) and again.scores() == pools.scores()
     assert np.array_equal(np.isinf(again.floor), np.isinf(pools.floor))
-    assert set(pools.stated()) == (set(pools.to_dict()) - {"needs"}) | {"B"}

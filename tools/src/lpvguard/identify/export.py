@@ -25,17 +25,19 @@ def export_vehicle(
     InputError
         If the folder may not be replaced, or a part does not fit.
     """
-    coefficients = stored.coefficients
+    coefficients, manifest = stored.coefficients, stored.manifest
+    bound_setting = [manifest["sha256"][name] for name in manifest["drives"]["bounds"]]
+    weights = {
+        name: [{key: w[key] for key in ("weight", "omega_rad_s", "bound")} for w in stored.weights[name]]
+        for name in ("W_w", "W_delta", "W_delta_healthy")
+        if name in stored.weights
+    }
     provenance = {
         "kind": "vehicle",
-        "identification": stored.manifest,
-        "threshold": stored.calibration.to_dict(),
-        "energy_test": stored.energy_of_core.to_dict(),
-        "change_test": stored.change_of_core.to_dict(),
-        **({} if stored.pools is None else {"pools": stored.pools.stated()}),
-        **({} if stored.diagnosis is None else {"diagnosis_scales": stored.diagnosis.to_dict()}),
+        "identification": {"seal": manifest["seal"], "bound_setting_sha256": bound_setting},
+        "energy_test": {k: v for k, v in stored.energy_of_core.to_dict().items() if k != "calibration"},
         "final_inflation": stored.weights["inflation"],
-        "weights": {k: v for k, v in stored.weights.items() if k in ("W_w", "W_delta", "W_delta_healthy")},
+        "weights": weights,
         "project": stored.project.model_dump(by_alias=True),
     }
     table = None if stored.diagnosis is None else stored.diagnosis.table

@@ -323,12 +323,6 @@ class Pools:
             "calibration": self.calibration.to_dict(),
         }
 
-    def stated(self) -> dict:
-        """`to_dict` with the bounds in the place of the remainders."""
-        kept = {key: value for key, value in self.to_dict().items() if key not in ("needs", "blocks")}
-        bound = self.bound()
-        return kept | {"B": np.where(np.isinf(bound), np.nan, bound)}
-
     @classmethod
     def from_dict(cls, data: dict) -> Pools:
         """Read back."""

@@ -94,9 +94,8 @@ def calibrated_state(
     Drives that set the bounds are left out, by their split and by the hashes in the generated folder.
     Recordings that are too short are also left out. Raises InputError if no recording remains.
     """
-    manifest = artefacts.read_manifest(replayer.core.folder, "vehicle").get("identification", {})
-    names = manifest.get("drives", {}).get("bounds", [])
-    setting = {manifest["sha256"][n] for n in names}
+    identification = artefacts.read_manifest(replayer.core.folder, "vehicle").get("identification", {})
+    setting = identification.get("bound_setting_sha256", [])
     listed = Listed.from_folder(folder)
     sets = {
         e.recording
