@@ -54,7 +54,7 @@ BYTES = [
     ),
     ("frame->data[0] = (uint8_t)((((uint32_t)message->abs_active << 4) & {}) | 0xCFu);", "0x30u", "49"),
 ]
-QUALITY = "const lpvg_can_quality_t q = quality"
+QUALITY = "return decoded(quality({}), (float)raw, physical);"
 NO_RESERVED = "between data and absent lies one code, the error's: what is not data and not absent is it"
 REPEATED = "the other bits are added by | and are set by then, or the shift has left them 0"
 EQUIVALENT = {
@@ -62,7 +62,7 @@ EQUIVALENT = {
     "if (!(steps > 0.0f)) {  ->  if (!(steps > -1f)) {": "above -1 the cast cuts to 0, and no half is left",
     "if (steps >= (float)raw_max) {  ->  if (steps > (float)raw_max) {": "the largest value rounds to itself",
     **{
-        f"{QUALITY}({values});  ->  {QUALITY}({other});": NO_RESERVED
+        f"{QUALITY.format(values)}  ->  {QUALITY.format(other)}": NO_RESERVED
         for values, other in (
             ("raw, 13u, 14u, 15u", "raw, 13u, 13u, 15u"),
             ("raw, 13u, 14u, 15u", "raw, 13u, 0u, 15u"),

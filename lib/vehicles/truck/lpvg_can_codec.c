@@ -33,6 +33,12 @@ static lpvg_can_quality_t quality(uint32_t raw, uint32_t raw_max, uint32_t error
     return (raw >= error_min) ? lpvg_can_quality_error : lpvg_can_quality_reserved;
 }
 
+static lpvg_can_quality_t decoded(lpvg_can_quality_t q, float value, float* physical)
+{
+    *physical = (q == lpvg_can_quality_good) ? value : NAN;
+    return q;
+}
+
 static const lpvg_can_signal_rule_t vdc2_signals[3] = {
     {0u, 16u, 16767u, 47486u, 65024u, 65280u, 30720u}, /* steering_wheel_angle */
     {24u, 16u, 19825u, 44400u, 65024u, 65280u, 81920u}, /* yaw_rate */
@@ -122,12 +128,7 @@ uint16_t lpvg_can_vdc2_steering_wheel_angle_encode(float physical)
 
 lpvg_can_quality_t lpvg_can_vdc2_steering_wheel_angle_decode(uint16_t raw, float* physical)
 {
-    const lpvg_can_quality_t q = quality(raw, 64255u, 65024u, 65280u);
-    *physical = NAN;
-    if (q == lpvg_can_quality_good) {
-        *physical = (0.0009765625f * (float)raw) - 31.374f;
-    }
-    return q;
+    return decoded(quality(raw, 64255u, 65024u, 65280u), (0.0009765625f * (float)raw) - 31.374f, physical);
 }
 
 uint16_t lpvg_can_vdc2_yaw_rate_encode(float physical)
@@ -137,12 +138,7 @@ uint16_t lpvg_can_vdc2_yaw_rate_encode(float physical)
 
 lpvg_can_quality_t lpvg_can_vdc2_yaw_rate_decode(uint16_t raw, float* physical)
 {
-    const lpvg_can_quality_t q = quality(raw, 64255u, 65024u, 65280u);
-    *physical = NAN;
-    if (q == lpvg_can_quality_good) {
-        *physical = (0.000122070312f * (float)raw) - 3.92f;
-    }
-    return q;
+    return decoded(quality(raw, 64255u, 65024u, 65280u), (0.000122070312f * (float)raw) - 3.92f, physical);
 }
 
 uint16_t lpvg_can_vdc2_lateral_acceleration_encode(float physical)
@@ -152,12 +148,7 @@ uint16_t lpvg_can_vdc2_lateral_acceleration_encode(float physical)
 
 lpvg_can_quality_t lpvg_can_vdc2_lateral_acceleration_decode(uint16_t raw, float* physical)
 {
-    const lpvg_can_quality_t q = quality(raw, 64255u, 65024u, 65280u);
-    *physical = NAN;
-    if (q == lpvg_can_quality_good) {
-        *physical = (0.00048828125f * (float)raw) - 15.687f;
-    }
-    return q;
+    return decoded(quality(raw, 64255u, 65024u, 65280u), (0.00048828125f * (float)raw) - 15.687f, physical);
 }
 
 uint8_t lpvg_can_vdc2_longitudinal_acceleration_encode(float physical)
@@ -167,12 +158,7 @@ uint8_t lpvg_can_vdc2_longitudinal_acceleration_encode(float physical)
 
 lpvg_can_quality_t lpvg_can_vdc2_longitudinal_acceleration_decode(uint8_t raw, float* physical)
 {
-    const lpvg_can_quality_t q = quality(raw, 250u, 254u, 255u);
-    *physical = NAN;
-    if (q == lpvg_can_quality_good) {
-        *physical = (0.1f * (float)raw) - 12.5f;
-    }
-    return q;
+    return decoded(quality(raw, 250u, 254u, 255u), (0.1f * (float)raw) - 12.5f, physical);
 }
 
 /* EBC2 */
@@ -220,12 +206,7 @@ uint16_t lpvg_can_ebc2_front_axle_speed_encode(float physical)
 
 lpvg_can_quality_t lpvg_can_ebc2_front_axle_speed_decode(uint16_t raw, float* physical)
 {
-    const lpvg_can_quality_t q = quality(raw, 64255u, 65024u, 65280u);
-    *physical = NAN;
-    if (q == lpvg_can_quality_good) {
-        *physical = 0.00390625f * (float)raw;
-    }
-    return q;
+    return decoded(quality(raw, 64255u, 65024u, 65280u), 0.00390625f * (float)raw, physical);
 }
 
 uint8_t lpvg_can_ebc2_relative_speed_front_left_encode(float physical)
@@ -235,12 +216,7 @@ uint8_t lpvg_can_ebc2_relative_speed_front_left_encode(float physical)
 
 lpvg_can_quality_t lpvg_can_ebc2_relative_speed_front_left_decode(uint8_t raw, float* physical)
 {
-    const lpvg_can_quality_t q = quality(raw, 250u, 254u, 255u);
-    *physical = NAN;
-    if (q == lpvg_can_quality_good) {
-        *physical = (0.0625f * (float)raw) - 7.8125f;
-    }
-    return q;
+    return decoded(quality(raw, 250u, 254u, 255u), (0.0625f * (float)raw) - 7.8125f, physical);
 }
 
 uint8_t lpvg_can_ebc2_relative_speed_front_right_encode(float physical)
@@ -250,12 +226,7 @@ uint8_t lpvg_can_ebc2_relative_speed_front_right_encode(float physical)
 
 lpvg_can_quality_t lpvg_can_ebc2_relative_speed_front_right_decode(uint8_t raw, float* physical)
 {
-    const lpvg_can_quality_t q = quality(raw, 250u, 254u, 255u);
-    *physical = NAN;
-    if (q == lpvg_can_quality_good) {
-        *physical = (0.0625f * (float)raw) - 7.8125f;
-    }
-    return q;
+    return decoded(quality(raw, 250u, 254u, 255u), (0.0625f * (float)raw) - 7.8125f, physical);
 }
 
 uint8_t lpvg_can_ebc2_relative_speed_rear1_left_encode(float physical)
@@ -265,12 +236,7 @@ uint8_t lpvg_can_ebc2_relative_speed_rear1_left_encode(float physical)
 
 lpvg_can_quality_t lpvg_can_ebc2_relative_speed_rear1_left_decode(uint8_t raw, float* physical)
 {
-    const lpvg_can_quality_t q = quality(raw, 250u, 254u, 255u);
-    *physical = NAN;
-    if (q == lpvg_can_quality_good) {
-        *physical = (0.0625f * (float)raw) - 7.8125f;
-    }
-    return q;
+    return decoded(quality(raw, 250u, 254u, 255u), (0.0625f * (float)raw) - 7.8125f, physical);
 }
 
 uint8_t lpvg_can_ebc2_relative_speed_rear1_right_encode(float physical)
@@ -280,12 +246,7 @@ uint8_t lpvg_can_ebc2_relative_speed_rear1_right_encode(float physical)
 
 lpvg_can_quality_t lpvg_can_ebc2_relative_speed_rear1_right_decode(uint8_t raw, float* physical)
 {
-    const lpvg_can_quality_t q = quality(raw, 250u, 254u, 255u);
-    *physical = NAN;
-    if (q == lpvg_can_quality_good) {
-        *physical = (0.0625f * (float)raw) - 7.8125f;
-    }
-    return q;
+    return decoded(quality(raw, 250u, 254u, 255u), (0.0625f * (float)raw) - 7.8125f, physical);
 }
 
 uint8_t lpvg_can_ebc2_relative_speed_rear2_left_encode(float physical)
@@ -295,12 +256,7 @@ uint8_t lpvg_can_ebc2_relative_speed_rear2_left_encode(float physical)
 
 lpvg_can_quality_t lpvg_can_ebc2_relative_speed_rear2_left_decode(uint8_t raw, float* physical)
 {
-    const lpvg_can_quality_t q = quality(raw, 250u, 254u, 255u);
-    *physical = NAN;
-    if (q == lpvg_can_quality_good) {
-        *physical = (0.0625f * (float)raw) - 7.8125f;
-    }
-    return q;
+    return decoded(quality(raw, 250u, 254u, 255u), (0.0625f * (float)raw) - 7.8125f, physical);
 }
 
 uint8_t lpvg_can_ebc2_relative_speed_rear2_right_encode(float physical)
@@ -310,12 +266,7 @@ uint8_t lpvg_can_ebc2_relative_speed_rear2_right_encode(float physical)
 
 lpvg_can_quality_t lpvg_can_ebc2_relative_speed_rear2_right_decode(uint8_t raw, float* physical)
 {
-    const lpvg_can_quality_t q = quality(raw, 250u, 254u, 255u);
-    *physical = NAN;
-    if (q == lpvg_can_quality_good) {
-        *physical = (0.0625f * (float)raw) - 7.8125f;
-    }
-    return q;
+    return decoded(quality(raw, 250u, 254u, 255u), (0.0625f * (float)raw) - 7.8125f, physical);
 }
 
 /* CCVS1 */
@@ -357,12 +308,7 @@ uint16_t lpvg_can_ccvs1_wheel_based_speed_encode(float physical)
 
 lpvg_can_quality_t lpvg_can_ccvs1_wheel_based_speed_decode(uint16_t raw, float* physical)
 {
-    const lpvg_can_quality_t q = quality(raw, 64255u, 65024u, 65280u);
-    *physical = NAN;
-    if (q == lpvg_can_quality_good) {
-        *physical = 0.00390625f * (float)raw;
-    }
-    return q;
+    return decoded(quality(raw, 64255u, 65024u, 65280u), 0.00390625f * (float)raw, physical);
 }
 
 /* EBC3 */
@@ -411,12 +357,7 @@ uint8_t lpvg_can_ebc3_pressure_front_left_encode(float physical)
 
 lpvg_can_quality_t lpvg_can_ebc3_pressure_front_left_decode(uint8_t raw, float* physical)
 {
-    const lpvg_can_quality_t q = quality(raw, 250u, 254u, 255u);
-    *physical = NAN;
-    if (q == lpvg_can_quality_good) {
-        *physical = 5.0f * (float)raw;
-    }
-    return q;
+    return decoded(quality(raw, 250u, 254u, 255u), 5.0f * (float)raw, physical);
 }
 
 uint8_t lpvg_can_ebc3_pressure_front_right_encode(float physical)
@@ -426,12 +367,7 @@ uint8_t lpvg_can_ebc3_pressure_front_right_encode(float physical)
 
 lpvg_can_quality_t lpvg_can_ebc3_pressure_front_right_decode(uint8_t raw, float* physical)
 {
-    const lpvg_can_quality_t q = quality(raw, 250u, 254u, 255u);
-    *physical = NAN;
-    if (q == lpvg_can_quality_good) {
-        *physical = 5.0f * (float)raw;
-    }
-    return q;
+    return decoded(quality(raw, 250u, 254u, 255u), 5.0f * (float)raw, physical);
 }
 
 uint8_t lpvg_can_ebc3_pressure_rear1_left_encode(float physical)
@@ -441,12 +377,7 @@ uint8_t lpvg_can_ebc3_pressure_rear1_left_encode(float physical)
 
 lpvg_can_quality_t lpvg_can_ebc3_pressure_rear1_left_decode(uint8_t raw, float* physical)
 {
-    const lpvg_can_quality_t q = quality(raw, 250u, 254u, 255u);
-    *physical = NAN;
-    if (q == lpvg_can_quality_good) {
-        *physical = 5.0f * (float)raw;
-    }
-    return q;
+    return decoded(quality(raw, 250u, 254u, 255u), 5.0f * (float)raw, physical);
 }
 
 uint8_t lpvg_can_ebc3_pressure_rear1_right_encode(float physical)
@@ -456,12 +387,7 @@ uint8_t lpvg_can_ebc3_pressure_rear1_right_encode(float physical)
 
 lpvg_can_quality_t lpvg_can_ebc3_pressure_rear1_right_decode(uint8_t raw, float* physical)
 {
-    const lpvg_can_quality_t q = quality(raw, 250u, 254u, 255u);
-    *physical = NAN;
-    if (q == lpvg_can_quality_good) {
-        *physical = 5.0f * (float)raw;
-    }
-    return q;
+    return decoded(quality(raw, 250u, 254u, 255u), 5.0f * (float)raw, physical);
 }
 
 uint8_t lpvg_can_ebc3_pressure_rear2_left_encode(float physical)
@@ -471,12 +397,7 @@ uint8_t lpvg_can_ebc3_pressure_rear2_left_encode(float physical)
 
 lpvg_can_quality_t lpvg_can_ebc3_pressure_rear2_left_decode(uint8_t raw, float* physical)
 {
-    const lpvg_can_quality_t q = quality(raw, 250u, 254u, 255u);
-    *physical = NAN;
-    if (q == lpvg_can_quality_good) {
-        *physical = 5.0f * (float)raw;
-    }
-    return q;
+    return decoded(quality(raw, 250u, 254u, 255u), 5.0f * (float)raw, physical);
 }
 
 uint8_t lpvg_can_ebc3_pressure_rear2_right_encode(float physical)
@@ -486,12 +407,7 @@ uint8_t lpvg_can_ebc3_pressure_rear2_right_encode(float physical)
 
 lpvg_can_quality_t lpvg_can_ebc3_pressure_rear2_right_decode(uint8_t raw, float* physical)
 {
-    const lpvg_can_quality_t q = quality(raw, 250u, 254u, 255u);
-    *physical = NAN;
-    if (q == lpvg_can_quality_good) {
-        *physical = 5.0f * (float)raw;
-    }
-    return q;
+    return decoded(quality(raw, 250u, 254u, 255u), 5.0f * (float)raw, physical);
 }
 
 uint8_t lpvg_can_ebc3_pressure_rear3_left_encode(float physical)
@@ -501,12 +417,7 @@ uint8_t lpvg_can_ebc3_pressure_rear3_left_encode(float physical)
 
 lpvg_can_quality_t lpvg_can_ebc3_pressure_rear3_left_decode(uint8_t raw, float* physical)
 {
-    const lpvg_can_quality_t q = quality(raw, 250u, 254u, 255u);
-    *physical = NAN;
-    if (q == lpvg_can_quality_good) {
-        *physical = 5.0f * (float)raw;
-    }
-    return q;
+    return decoded(quality(raw, 250u, 254u, 255u), 5.0f * (float)raw, physical);
 }
 
 uint8_t lpvg_can_ebc3_pressure_rear3_right_encode(float physical)
@@ -516,12 +427,7 @@ uint8_t lpvg_can_ebc3_pressure_rear3_right_encode(float physical)
 
 lpvg_can_quality_t lpvg_can_ebc3_pressure_rear3_right_decode(uint8_t raw, float* physical)
 {
-    const lpvg_can_quality_t q = quality(raw, 250u, 254u, 255u);
-    *physical = NAN;
-    if (q == lpvg_can_quality_good) {
-        *physical = 5.0f * (float)raw;
-    }
-    return q;
+    return decoded(quality(raw, 250u, 254u, 255u), 5.0f * (float)raw, physical);
 }
 
 /* EBC1 */
@@ -564,12 +470,7 @@ uint8_t lpvg_can_ebc1_abs_active_encode(float physical)
 
 lpvg_can_quality_t lpvg_can_ebc1_abs_active_decode(uint8_t raw, float* physical)
 {
-    const lpvg_can_quality_t q = quality(raw, 1u, 2u, 3u);
-    *physical = NAN;
-    if (q == lpvg_can_quality_good) {
-        *physical = (float)raw;
-    }
-    return q;
+    return decoded(quality(raw, 1u, 2u, 3u), (float)raw, physical);
 }
 
 uint8_t lpvg_can_ebc1_brake_pedal_position_encode(float physical)
@@ -579,12 +480,7 @@ uint8_t lpvg_can_ebc1_brake_pedal_position_encode(float physical)
 
 lpvg_can_quality_t lpvg_can_ebc1_brake_pedal_position_decode(uint8_t raw, float* physical)
 {
-    const lpvg_can_quality_t q = quality(raw, 250u, 254u, 255u);
-    *physical = NAN;
-    if (q == lpvg_can_quality_good) {
-        *physical = 0.4f * (float)raw;
-    }
-    return q;
+    return decoded(quality(raw, 250u, 254u, 255u), 0.4f * (float)raw, physical);
 }
 
 /* GUARD_IN */
@@ -629,12 +525,7 @@ uint16_t lpvg_can_guard_in_dp_measured_encode(float physical)
 
 lpvg_can_quality_t lpvg_can_guard_in_dp_measured_decode(uint16_t raw, float* physical)
 {
-    const lpvg_can_quality_t q = quality(raw, 64255u, 65024u, 65280u);
-    *physical = NAN;
-    if (q == lpvg_can_quality_good) {
-        *physical = (0.00048828125f * (float)raw) - 15.687f;
-    }
-    return q;
+    return decoded(quality(raw, 64255u, 65024u, 65280u), (0.00048828125f * (float)raw) - 15.687f, physical);
 }
 
 uint16_t lpvg_can_guard_in_yaw_rate_command_encode(float physical)
@@ -644,12 +535,7 @@ uint16_t lpvg_can_guard_in_yaw_rate_command_encode(float physical)
 
 lpvg_can_quality_t lpvg_can_guard_in_yaw_rate_command_decode(uint16_t raw, float* physical)
 {
-    const lpvg_can_quality_t q = quality(raw, 64255u, 65024u, 65280u);
-    *physical = NAN;
-    if (q == lpvg_can_quality_good) {
-        *physical = (0.000122070312f * (float)raw) - 3.92f;
-    }
-    return q;
+    return decoded(quality(raw, 64255u, 65024u, 65280u), (0.000122070312f * (float)raw) - 3.92f, physical);
 }
 
 uint8_t lpvg_can_guard_in_control_request_encode(float physical)
@@ -659,12 +545,7 @@ uint8_t lpvg_can_guard_in_control_request_encode(float physical)
 
 lpvg_can_quality_t lpvg_can_guard_in_control_request_decode(uint8_t raw, float* physical)
 {
-    const lpvg_can_quality_t q = quality(raw, 13u, 14u, 15u);
-    *physical = NAN;
-    if (q == lpvg_can_quality_good) {
-        *physical = (float)raw;
-    }
-    return q;
+    return decoded(quality(raw, 13u, 14u, 15u), (float)raw, physical);
 }
 
 uint8_t lpvg_can_guard_in_other_priority_encode(float physical)
@@ -674,12 +555,7 @@ uint8_t lpvg_can_guard_in_other_priority_encode(float physical)
 
 lpvg_can_quality_t lpvg_can_guard_in_other_priority_decode(uint8_t raw, float* physical)
 {
-    const lpvg_can_quality_t q = quality(raw, 13u, 14u, 15u);
-    *physical = NAN;
-    if (q == lpvg_can_quality_good) {
-        *physical = (float)raw;
-    }
-    return q;
+    return decoded(quality(raw, 13u, 14u, 15u), (float)raw, physical);
 }
 
 /* GUARD_OUT */
@@ -726,12 +602,7 @@ uint16_t lpvg_can_guard_out_dp_demand_encode(float physical)
 
 lpvg_can_quality_t lpvg_can_guard_out_dp_demand_decode(uint16_t raw, float* physical)
 {
-    const lpvg_can_quality_t q = quality(raw, 64255u, 65024u, 65280u);
-    *physical = NAN;
-    if (q == lpvg_can_quality_good) {
-        *physical = (0.00048828125f * (float)raw) - 15.687f;
-    }
-    return q;
+    return decoded(quality(raw, 64255u, 65024u, 65280u), (0.00048828125f * (float)raw) - 15.687f, physical);
 }
 
 uint16_t lpvg_can_guard_out_monitor_margin_encode(float physical)
@@ -741,12 +612,7 @@ uint16_t lpvg_can_guard_out_monitor_margin_encode(float physical)
 
 lpvg_can_quality_t lpvg_can_guard_out_monitor_margin_decode(uint16_t raw, float* physical)
 {
-    const lpvg_can_quality_t q = quality(raw, 64255u, 65024u, 65280u);
-    *physical = NAN;
-    if (q == lpvg_can_quality_good) {
-        *physical = 0.0009765625f * (float)raw;
-    }
-    return q;
+    return decoded(quality(raw, 64255u, 65024u, 65280u), 0.0009765625f * (float)raw, physical);
 }
 
 uint8_t lpvg_can_guard_out_monitor_verdict_encode(float physical)
@@ -756,12 +622,7 @@ uint8_t lpvg_can_guard_out_monitor_verdict_encode(float physical)
 
 lpvg_can_quality_t lpvg_can_guard_out_monitor_verdict_decode(uint8_t raw, float* physical)
 {
-    const lpvg_can_quality_t q = quality(raw, 13u, 14u, 15u);
-    *physical = NAN;
-    if (q == lpvg_can_quality_good) {
-        *physical = (float)raw;
-    }
-    return q;
+    return decoded(quality(raw, 13u, 14u, 15u), (float)raw, physical);
 }
 
 uint8_t lpvg_can_guard_out_command_authentication_encode(float physical)
@@ -771,12 +632,7 @@ uint8_t lpvg_can_guard_out_command_authentication_encode(float physical)
 
 lpvg_can_quality_t lpvg_can_guard_out_command_authentication_decode(uint8_t raw, float* physical)
 {
-    const lpvg_can_quality_t q = quality(raw, 1u, 2u, 3u);
-    *physical = NAN;
-    if (q == lpvg_can_quality_good) {
-        *physical = (float)raw;
-    }
-    return q;
+    return decoded(quality(raw, 1u, 2u, 3u), (float)raw, physical);
 }
 
 uint8_t lpvg_can_guard_out_supervision_state_encode(float physical)
@@ -786,12 +642,7 @@ uint8_t lpvg_can_guard_out_supervision_state_encode(float physical)
 
 lpvg_can_quality_t lpvg_can_guard_out_supervision_state_decode(uint8_t raw, float* physical)
 {
-    const lpvg_can_quality_t q = quality(raw, 13u, 14u, 15u);
-    *physical = NAN;
-    if (q == lpvg_can_quality_good) {
-        *physical = (float)raw;
-    }
-    return q;
+    return decoded(quality(raw, 13u, 14u, 15u), (float)raw, physical);
 }
 
 uint8_t lpvg_can_guard_out_engagement_encode(float physical)
@@ -801,10 +652,5 @@ uint8_t lpvg_can_guard_out_engagement_encode(float physical)
 
 lpvg_can_quality_t lpvg_can_guard_out_engagement_decode(uint8_t raw, float* physical)
 {
-    const lpvg_can_quality_t q = quality(raw, 13u, 14u, 15u);
-    *physical = NAN;
-    if (q == lpvg_can_quality_good) {
-        *physical = (float)raw;
-    }
-    return q;
+    return decoded(quality(raw, 13u, 14u, 15u), (float)raw, physical);
 }

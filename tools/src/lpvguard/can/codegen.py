@@ -211,6 +211,12 @@ static lpvg_can_quality_t quality(uint32_t raw, uint32_t raw_max, uint32_t error
     }}
     return (raw >= error_min) ? lpvg_can_quality_error : lpvg_can_quality_reserved;
 }}
+
+static lpvg_can_quality_t decoded(lpvg_can_quality_t q, float value, float* physical)
+{{
+    *physical = (q == lpvg_can_quality_good) ? value : NAN;
+    return q;
+}}
 """
     ]
     parts += [_rules(messages)]
@@ -293,12 +299,7 @@ lpvg_status_t {name}_unpack({name}_t* message, const lpvg_can_frame_t* frame)
 
 lpvg_can_quality_t {name}_{s.name}_decode({_raw_type(s)} raw, float* physical)
 {{
-    const lpvg_can_quality_t q = quality(raw, {quality});
-    *physical = NAN;
-    if (q == lpvg_can_quality_good) {{
-        *physical = {inverse};
-    }}
-    return q;
+    return decoded(quality(raw, {quality}), {inverse}, physical);
 }}
 """)
     return "".join(lines)
