@@ -17,14 +17,14 @@ public:
             throw 1;
         }
         lpvg_can_vdc2_t vdc2{};
-        vdc2.steering_wheel_angle = lpvg_can_vdc2_steering_wheel_angle_encode(0.1F);
-        vdc2.yaw_rate = lpvg_can_vdc2_yaw_rate_encode(0.05F);
-        vdc2.lateral_acceleration = lpvg_can_vdc2_lateral_acceleration_encode(0.7F);
-        vdc2.longitudinal_acceleration = lpvg_can_vdc2_longitudinal_acceleration_encode(0.0F);
+        vdc2.steering_wheel_angle = lpvg_can_encode(&lpvg_can_vdc2_steering_wheel_angle, 0.1F);
+        vdc2.yaw_rate = lpvg_can_encode(&lpvg_can_vdc2_yaw_rate, 0.05F);
+        vdc2.lateral_acceleration = lpvg_can_encode(&lpvg_can_vdc2_lateral_acceleration, 0.7F);
+        vdc2.longitudinal_acceleration = lpvg_can_encode(&lpvg_can_vdc2_longitudinal_acceleration, 0.0F);
         packed_ = lpvg_can_vdc2_pack(&vdc2, &vdc2_) == lpvg_status_ok;
         lpvg_can_guard_in_t in{};
-        in.dp_measured = lpvg_can_guard_in_dp_measured_encode(0.5F);
-        in.yaw_rate_command = lpvg_can_guard_in_yaw_rate_command_encode(0.05F);
+        in.dp_measured = lpvg_can_encode(&lpvg_can_guard_in_dp_measured, 0.5F);
+        in.yaw_rate_command = lpvg_can_encode(&lpvg_can_guard_in_yaw_rate_command, 0.05F);
         in.control_request = 1U;
         packed_ = packed_ && lpvg_can_guard_in_pack(&in, &guard_in_) == lpvg_status_ok;
     }

@@ -63,20 +63,19 @@ def loops(catalogue: Catalogue) -> str:
             f"  for (long i = 0; i < n; ++i) {{ lpvg_can_frame_t f; {name}_t s; memset(&f, 0x3C, sizeof f);\n"
         )
         for k, s in enumerate(m.signals):
-            kind = "uint8_t" if s.length <= 8 else "uint16_t"
-            parts.append(f"    s.{s.name} = ({kind})raw[{len(m.signals)} * i + {k}];\n")
+            parts.append(f"    s.{s.name} = raw[{len(m.signals)} * i + {k}];\n")
         parts.append(
             f"    if ({name}_pack(&s, &f) != lpvg_status_ok) {{ return; }} "
             f"memcpy(data + 8 * i, f.data, 8u);\n  }}\n}}\n"
         )
         for s in m.signals:
-            kind = "uint8_t" if s.length <= 8 else "uint16_t"
             parts.append(
                 f"void loop_{m.name}_{s.name}_encode(const float* x, long n, uint16_t* raw) {{\n"
-                f"  for (long i = 0; i < n; ++i) {{ raw[i] = {name}_{s.name}_encode(x[i]); }}\n}}\n"
+                f"  for (long i = 0; i < n; ++i) {{ "
+                f"raw[i] = lpvg_can_encode(&{name}_{s.name}, x[i]); }}\n}}\n"
                 f"void loop_{m.name}_{s.name}_decode(const uint16_t* raw, long n, float* x, int* q) {{\n"
                 f"  for (long i = 0; i < n; ++i) {{ "
-                f"q[i] = (int){name}_{s.name}_decode(({kind})raw[i], x + i); }}\n}}\n"
+                f"q[i] = (int)lpvg_can_decode(&{name}_{s.name}, raw[i], x + i); }}\n}}\n"
             )
     return "".join(parts)
 

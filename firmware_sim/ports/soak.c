@@ -150,7 +150,7 @@ static bool take_from_firmware(void* driver, const lpvg_can_frame_t* frame) {
         ++reports;
         if (lpvg_can_e2e_check(frame, LPVG_CAN_GUARD_OUT_E2E_DATA_ID, &counter) != lpvg_status_ok || counter != counter_due ||
             lpvg_can_guard_out_unpack(&said, frame) != lpvg_status_ok ||
-            lpvg_can_guard_out_dp_demand_decode(said.dp_demand, &number) != lpvg_can_quality_good) {
+            lpvg_can_decode(&lpvg_can_guard_out_dp_demand, said.dp_demand, &number) != lpvg_can_quality_good) {
             ++broken[rule_report];
         } else {
             demand = number;
@@ -360,11 +360,11 @@ static void send_frames(int64_t tick) {
     memset(&frame, 0, sizeof frame);
     memset(&vdc2, 0, sizeof vdc2);
     memset(&guard, 0, sizeof guard);
-    vdc2.steering_wheel_angle = lpvg_can_vdc2_steering_wheel_angle_encode(20.0f * outputs[1]);
-    vdc2.yaw_rate = lpvg_can_vdc2_yaw_rate_encode(outputs[0]);
+    vdc2.steering_wheel_angle = lpvg_can_encode(&lpvg_can_vdc2_steering_wheel_angle, 20.0f * outputs[1]);
+    vdc2.yaw_rate = lpvg_can_encode(&lpvg_can_vdc2_yaw_rate, outputs[0]);
     /* What a sensor fault of the yaw rate leaves as it is. */
-    vdc2.lateral_acceleration = lpvg_can_vdc2_lateral_acceleration_encode(outputs[0] * speed);
-    vdc2.longitudinal_acceleration = lpvg_can_vdc2_longitudinal_acceleration_encode(0.0f);
+    vdc2.lateral_acceleration = lpvg_can_encode(&lpvg_can_vdc2_lateral_acceleration, outputs[0] * speed);
+    vdc2.longitudinal_acceleration = lpvg_can_encode(&lpvg_can_vdc2_longitudinal_acceleration, 0.0f);
     packed = lpvg_can_vdc2_pack(&vdc2, &frame) == lpvg_status_ok;
     send_message(0u, &frame);
     /* Released for half a second after the start and where the loop is locked: then acknowledged, when the vehicle has no fault. */
@@ -372,8 +372,8 @@ static void send_frames(int64_t tick) {
     guard.control_request = request_ms < 250   ? LPVG_BUS_REQUEST_RELEASE
                             : request_ms < 500 ? LPVG_BUS_REQUEST_ACKNOWLEDGE
                                                : LPVG_BUS_REQUEST_CONTROL;
-    guard.dp_measured = lpvg_can_guard_in_dp_measured_encode(pressure);
-    guard.yaw_rate_command = lpvg_can_guard_in_yaw_rate_command_encode(command);
+    guard.dp_measured = lpvg_can_encode(&lpvg_can_guard_in_dp_measured, pressure);
+    guard.yaw_rate_command = lpvg_can_encode(&lpvg_can_guard_in_yaw_rate_command, command);
     packed = packed && lpvg_can_guard_in_pack(&guard, &frame) == lpvg_status_ok &&
              lpvg_can_e2e_protect(&frame, LPVG_CAN_GUARD_IN_E2E_DATA_ID, &protection) == lpvg_status_ok;
     send_message(1u, &frame);
@@ -382,10 +382,10 @@ static void send_frames(int64_t tick) {
         lpvg_can_ebc1_t ebc1;
         memset(&ebc2, 0xFF, sizeof ebc2);
         memset(&ebc1, 0, sizeof ebc1);
-        ebc2.front_axle_speed = lpvg_can_ebc2_front_axle_speed_encode(speed * 3.6f);
+        ebc2.front_axle_speed = lpvg_can_encode(&lpvg_can_ebc2_front_axle_speed, speed * 3.6f);
         packed = packed && lpvg_can_ebc2_pack(&ebc2, &frame) == lpvg_status_ok;
         send_message(2u, &frame);
-        ebc1.brake_pedal_position = lpvg_can_ebc1_brake_pedal_position_encode(0.0f);
+        ebc1.brake_pedal_position = lpvg_can_encode(&lpvg_can_ebc1_brake_pedal_position, 0.0f);
         packed = packed && lpvg_can_ebc1_pack(&ebc1, &frame) == lpvg_status_ok;
         send_message(3u, &frame);
     }

@@ -305,21 +305,21 @@ std::size_t bus_frames(std::size_t k, lpvg_can_frame_t* frames, uint8_t* counter
     const lpvg_sample_t sample = sample_at(k);
     std::size_t n = 0;
     lpvg_can_vdc2_t vdc2{};
-    vdc2.yaw_rate = lpvg_can_vdc2_yaw_rate_encode(sample.y[0]);
-    vdc2.steering_wheel_angle = lpvg_can_vdc2_steering_wheel_angle_encode(steering_ratio * sample.y[LPVG_NY - 1]);
-    vdc2.lateral_acceleration = lpvg_can_vdc2_lateral_acceleration_encode(sample.speed * sample.y[0]);
-    vdc2.longitudinal_acceleration = lpvg_can_vdc2_longitudinal_acceleration_encode(0.0F);
+    vdc2.yaw_rate = lpvg_can_encode(&lpvg_can_vdc2_yaw_rate, sample.y[0]);
+    vdc2.steering_wheel_angle = lpvg_can_encode(&lpvg_can_vdc2_steering_wheel_angle, steering_ratio * sample.y[LPVG_NY - 1]);
+    vdc2.lateral_acceleration = lpvg_can_encode(&lpvg_can_vdc2_lateral_acceleration, sample.speed * sample.y[0]);
+    vdc2.longitudinal_acceleration = lpvg_can_encode(&lpvg_can_vdc2_longitudinal_acceleration, 0.0F);
     bool packed = lpvg_can_vdc2_pack(&vdc2, &frames[n++]) == lpvg_status_ok;
     lpvg_can_guard_in_t guard{};
-    guard.dp_measured = lpvg_can_guard_in_dp_measured_encode(sample.u[0]);
-    guard.yaw_rate_command = lpvg_can_guard_in_yaw_rate_command_encode(sample.y[0]);
+    guard.dp_measured = lpvg_can_encode(&lpvg_can_guard_in_dp_measured, sample.u[0]);
+    guard.yaw_rate_command = lpvg_can_encode(&lpvg_can_guard_in_yaw_rate_command, sample.y[0]);
     guard.control_request = k < 20U ? LPVG_BUS_REQUEST_RELEASE : LPVG_BUS_REQUEST_CONTROL;
     guard.other_priority = 0U;
     packed = packed && lpvg_can_guard_in_pack(&guard, &frames[n]) == lpvg_status_ok &&
              lpvg_can_e2e_protect(&frames[n++], LPVG_CAN_GUARD_IN_E2E_DATA_ID, counter) == lpvg_status_ok;
     if (k % 10U == 0U) {
         lpvg_can_ebc2_t ebc2{};
-        ebc2.front_axle_speed = lpvg_can_ebc2_front_axle_speed_encode(sample.speed * kmh_per_mps);
+        ebc2.front_axle_speed = lpvg_can_encode(&lpvg_can_ebc2_front_axle_speed, sample.speed * kmh_per_mps);
         packed = packed && lpvg_can_ebc2_pack(&ebc2, &frames[n++]) == lpvg_status_ok;
         const lpvg_can_ebc1_t ebc1{};
         packed = packed && lpvg_can_ebc1_pack(&ebc1, &frames[n++]) == lpvg_status_ok;

@@ -23,10 +23,9 @@ void require(lpvg_status_t status) {
     }
 }
 
-template <class Raw>
-float decoded(lpvg_can_quality_t (*decode)(Raw, float*), Raw raw) {
+float decoded(const lpvg_can_scale_t& scale, std::uint16_t raw) {
     float value = 0.0F;
-    static_cast<void>(decode(raw, &value));
+    static_cast<void>(lpvg_can_decode(&scale, raw, &value));
     return value;
 }
 
@@ -56,16 +55,17 @@ void VehicleNode::send(std::int64_t now_us, const lpvguard_plant::Sensors& senso
     frame.t_us = now_us;
 
     lpvg_can_vdc2_t vdc2{};
-    vdc2.steering_wheel_angle = lpvg_can_vdc2_steering_wheel_angle_encode(single(sensors.steering_wheel_rad));
-    vdc2.yaw_rate = lpvg_can_vdc2_yaw_rate_encode(single(sensors.yaw_rate_radps));
-    vdc2.lateral_acceleration = lpvg_can_vdc2_lateral_acceleration_encode(single(sensors.lateral_acceleration_mps2));
-    vdc2.longitudinal_acceleration = lpvg_can_vdc2_longitudinal_acceleration_encode(NAN);  // the plant has no such sensor
+    vdc2.steering_wheel_angle = lpvg_can_encode(&lpvg_can_vdc2_steering_wheel_angle, single(sensors.steering_wheel_rad));
+    vdc2.yaw_rate = lpvg_can_encode(&lpvg_can_vdc2_yaw_rate, single(sensors.yaw_rate_radps));
+    vdc2.lateral_acceleration = lpvg_can_encode(&lpvg_can_vdc2_lateral_acceleration, single(sensors.lateral_acceleration_mps2));
+    vdc2.longitudinal_acceleration = lpvg_can_encode(&lpvg_can_vdc2_longitudinal_acceleration, NAN);  // the plant has no such sensor
     require(lpvg_can_vdc2_pack(&vdc2, &frame));
     put(frame);
 
     lpvg_can_guard_in_t in{};
-    in.dp_measured = lpvg_can_guard_in_dp_measured_encode(single(sensors.brake_pressure_right_bar - sensors.brake_pressure_left_bar));
-    in.yaw_rate_command = lpvg_can_guard_in_yaw_rate_command_encode(single(command_radps));
+    in.dp_measured =
+        lpvg_can_encode(&lpvg_can_guard_in_dp_measured, single(sensors.brake_pressure_right_bar - sensors.brake_pressure_left_bar));
+    in.yaw_rate_command = lpvg_can_encode(&lpvg_can_guard_in_yaw_rate_command, single(command_radps));
     in.control_request = now_us < standby_us ? LPVG_BUS_REQUEST_RELEASE : LPVG_BUS_REQUEST_CONTROL;
     in.other_priority = 0U;
     require(lpvg_can_guard_in_pack(&in, &frame));
@@ -86,36 +86,37 @@ void VehicleNode::send_slow(std::int64_t now_us, const lpvguard_plant::Sensors& 
     const double front = 0.5 * (wheel[Wheel::front_left] + wheel[Wheel::front_right]);
     const auto relative = [&](Wheel which) { return single((wheel[which] - front) * kmh_per_mps); };
     lpvg_can_ebc2_t ebc2{};
-    ebc2.front_axle_speed = lpvg_can_ebc2_front_axle_speed_encode(single(front * kmh_per_mps));
-    ebc2.relative_speed_front_left = lpvg_can_ebc2_relative_speed_front_left_encode(relative(Wheel::front_left));
-    ebc2.relative_speed_front_right = lpvg_can_ebc2_relative_speed_front_right_encode(relative(Wheel::front_right));
-    ebc2.relative_speed_rear1_left = lpvg_can_ebc2_relative_speed_rear1_left_encode(relative(Wheel::rear_left));
-    ebc2.relative_speed_rear1_right = lpvg_can_ebc2_relative_speed_rear1_right_encode(relative(Wheel::rear_right));
-    ebc2.relative_speed_rear2_left = lpvg_can_ebc2_relative_speed_rear2_left_encode(NAN);  // two axles
-    ebc2.relative_speed_rear2_right = lpvg_can_ebc2_relative_speed_rear2_right_encode(NAN);
+    ebc2.front_axle_speed = lpvg_can_encode(&lpvg_can_ebc2_front_axle_speed, single(front * kmh_per_mps));
+    ebc2.relative_speed_front_left = lpvg_can_encode(&lpvg_can_ebc2_relative_speed_front_left, relative(Wheel::front_left));
+    ebc2.relative_speed_front_right = lpvg_can_encode(&lpvg_can_ebc2_relative_speed_front_right, relative(Wheel::front_right));
+    ebc2.relative_speed_rear1_left = lpvg_can_encode(&lpvg_can_ebc2_relative_speed_rear1_left, relative(Wheel::rear_left));
+    ebc2.relative_speed_rear1_right = lpvg_can_encode(&lpvg_can_ebc2_relative_speed_rear1_right, relative(Wheel::rear_right));
+    ebc2.relative_speed_rear2_left = lpvg_can_encode(&lpvg_can_ebc2_relative_speed_rear2_left, NAN);  // two axles
+    ebc2.relative_speed_rear2_right = lpvg_can_encode(&lpvg_can_ebc2_relative_speed_rear2_right, NAN);
     require(lpvg_can_ebc2_pack(&ebc2, &frame));
     put(frame);
 
     lpvg_can_ccvs1_t ccvs1{};
-    ccvs1.wheel_based_speed = lpvg_can_ccvs1_wheel_based_speed_encode(single(sensors.speed_mps * kmh_per_mps));
+    ccvs1.wheel_based_speed = lpvg_can_encode(&lpvg_can_ccvs1_wheel_based_speed, single(sensors.speed_mps * kmh_per_mps));
     require(lpvg_can_ccvs1_pack(&ccvs1, &frame));
     put(frame);
 
     lpvg_can_ebc3_t ebc3{};
-    ebc3.pressure_front_left = lpvg_can_ebc3_pressure_front_left_encode(single(sensors.brake_pressure_left_bar * kpa_per_bar));
-    ebc3.pressure_front_right = lpvg_can_ebc3_pressure_front_right_encode(single(sensors.brake_pressure_right_bar * kpa_per_bar));
-    ebc3.pressure_rear1_left = lpvg_can_ebc3_pressure_rear1_left_encode(0.0F);  // only front wheels are braked
-    ebc3.pressure_rear1_right = lpvg_can_ebc3_pressure_rear1_right_encode(0.0F);
-    ebc3.pressure_rear2_left = lpvg_can_ebc3_pressure_rear2_left_encode(NAN);
-    ebc3.pressure_rear2_right = lpvg_can_ebc3_pressure_rear2_right_encode(NAN);
-    ebc3.pressure_rear3_left = lpvg_can_ebc3_pressure_rear3_left_encode(NAN);
-    ebc3.pressure_rear3_right = lpvg_can_ebc3_pressure_rear3_right_encode(NAN);
+    ebc3.pressure_front_left = lpvg_can_encode(&lpvg_can_ebc3_pressure_front_left, single(sensors.brake_pressure_left_bar * kpa_per_bar));
+    ebc3.pressure_front_right =
+        lpvg_can_encode(&lpvg_can_ebc3_pressure_front_right, single(sensors.brake_pressure_right_bar * kpa_per_bar));
+    ebc3.pressure_rear1_left = lpvg_can_encode(&lpvg_can_ebc3_pressure_rear1_left, 0.0F);  // only front wheels are braked
+    ebc3.pressure_rear1_right = lpvg_can_encode(&lpvg_can_ebc3_pressure_rear1_right, 0.0F);
+    ebc3.pressure_rear2_left = lpvg_can_encode(&lpvg_can_ebc3_pressure_rear2_left, NAN);
+    ebc3.pressure_rear2_right = lpvg_can_encode(&lpvg_can_ebc3_pressure_rear2_right, NAN);
+    ebc3.pressure_rear3_left = lpvg_can_encode(&lpvg_can_ebc3_pressure_rear3_left, NAN);
+    ebc3.pressure_rear3_right = lpvg_can_encode(&lpvg_can_ebc3_pressure_rear3_right, NAN);
     require(lpvg_can_ebc3_pack(&ebc3, &frame));
     put(frame);
 
     lpvg_can_ebc1_t ebc1{};
-    ebc1.abs_active = lpvg_can_ebc1_abs_active_encode(0.0F);
-    ebc1.brake_pedal_position = lpvg_can_ebc1_brake_pedal_position_encode(0.0F);
+    ebc1.abs_active = lpvg_can_encode(&lpvg_can_ebc1_abs_active, 0.0F);
+    ebc1.brake_pedal_position = lpvg_can_encode(&lpvg_can_ebc1_brake_pedal_position, 0.0F);
     require(lpvg_can_ebc1_pack(&ebc1, &frame));
     put(frame);
 }
@@ -245,11 +246,16 @@ void VehicleNode::receive(std::int64_t now_us) {
         if (lpvg_can_receive(&supervisor_, &frame, &index) == lpvg_can_event_accepted) {
             lpvg_can_guard_out_t out{};
             require(lpvg_can_guard_out_unpack(&out, &frame));
-            const float demand_bar = decoded(lpvg_can_guard_out_dp_demand_decode, out.dp_demand);
+            const float demand_bar = decoded(lpvg_can_guard_out_dp_demand, out.dp_demand);
             demand_bar_ = static_cast<double>(demand_bar);
-            report_ = {demand_bar,          decoded(lpvg_can_guard_out_monitor_margin_decode, out.monitor_margin),
-                       out.monitor_verdict, out.supervision_state,
-                       out.engagement,      out.command_authentication};
+            const auto byte = [](std::uint16_t raw) { return static_cast<std::uint8_t>(raw); };
+            const float margin = decoded(lpvg_can_guard_out_monitor_margin, out.monitor_margin);
+            report_ = {demand_bar,
+                       margin,
+                       byte(out.monitor_verdict),
+                       byte(out.supervision_state),
+                       byte(out.engagement),
+                       byte(out.command_authentication)};
         } else if ((frame.id & 0x00FFFF00U) == 0x00FECA00U) {  // DM1: one frame, one code (lpvg_can_dm1_pack)
             trouble_.spn = frame.data[2] + 256U * frame.data[3] + 65536U * (frame.data[4] >> 5U);
             trouble_.fmi = frame.data[4] & 0x1FU;

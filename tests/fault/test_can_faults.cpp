@@ -373,7 +373,7 @@ TEST_CASE("bus-off: everything off at once, back after 5 good frames; other erro
 TEST_CASE("a value that jumps and stays is refused until the allowed change has caught up", "[fault][can]") {
     CanBus bus;
     bus.run(1, kWarm);
-    const auto jumped = lpvg_can_vdc2_yaw_rate_encode(0.05F + 0.25F);
+    const auto jumped = lpvg_can_encode(&lpvg_can_vdc2_yaw_rate, 0.05F + 0.25F);
     int64_t k = kWarm;
     lpvg_can_event_t event = lpvg_can_event_none;
     while (event != lpvg_can_event_accepted && k < kWarm + 10) {

@@ -96,20 +96,21 @@ private:
     void pack(lpvg_can_frame_t* in, std::size_t& n, const lpvg_real_t* y) {
         const auto t = static_cast<float>(k_) * 0.01F;
         lpvg_can_vdc2_t vdc2{};
-        vdc2.steering_wheel_angle = lpvg_can_vdc2_steering_wheel_angle_encode(20.0F * static_cast<float>(y[LPVG_NY - 1]));
-        vdc2.yaw_rate = lpvg_can_vdc2_yaw_rate_encode(static_cast<float>(y[0]));
-        vdc2.lateral_acceleration = lpvg_can_vdc2_lateral_acceleration_encode(12.0F * static_cast<float>(y[0]));
+        vdc2.steering_wheel_angle = lpvg_can_encode(&lpvg_can_vdc2_steering_wheel_angle, 20.0F * static_cast<float>(y[LPVG_NY - 1]));
+        vdc2.yaw_rate = lpvg_can_encode(&lpvg_can_vdc2_yaw_rate, static_cast<float>(y[0]));
+        vdc2.lateral_acceleration = lpvg_can_encode(&lpvg_can_vdc2_lateral_acceleration, 12.0F * static_cast<float>(y[0]));
         bool packed = lpvg_can_vdc2_pack(&vdc2, &in[n++]) == lpvg_status_ok;
         lpvg_can_guard_in_t guard{};
-        guard.dp_measured = lpvg_can_guard_in_dp_measured_encode(static_cast<float>(pressure_));
-        guard.yaw_rate_command = lpvg_can_guard_in_yaw_rate_command_encode(0.06F * (std::sin(t) + std::sin(0.5F * t) + std::sin(2.0F * t)));
+        guard.dp_measured = lpvg_can_encode(&lpvg_can_guard_in_dp_measured, static_cast<float>(pressure_));
+        guard.yaw_rate_command =
+            lpvg_can_encode(&lpvg_can_guard_in_yaw_rate_command, 0.06F * (std::sin(t) + std::sin(0.5F * t) + std::sin(2.0F * t)));
         guard.control_request = k_ < 20 ? LPVG_BUS_REQUEST_RELEASE : LPVG_BUS_REQUEST_CONTROL;
         packed = packed && lpvg_can_guard_in_pack(&guard, &in[n]) == lpvg_status_ok &&
                  lpvg_can_e2e_protect(&in[n++], LPVG_CAN_GUARD_IN_E2E_DATA_ID, &counter_) == lpvg_status_ok;
         if (k_ % 10 == 0) {
             lpvg_can_ebc2_t ebc2;
             std::memset(&ebc2, 0xFF, sizeof ebc2);
-            ebc2.front_axle_speed = lpvg_can_ebc2_front_axle_speed_encode(12.0F * 3.6F);
+            ebc2.front_axle_speed = lpvg_can_encode(&lpvg_can_ebc2_front_axle_speed, 12.0F * 3.6F);
             const lpvg_can_ebc1_t ebc1{};
             packed =
                 packed && lpvg_can_ebc2_pack(&ebc2, &in[n++]) == lpvg_status_ok && lpvg_can_ebc1_pack(&ebc1, &in[n++]) == lpvg_status_ok;

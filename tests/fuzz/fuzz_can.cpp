@@ -46,12 +46,12 @@ void check_values(const lpvg_can_frame_t& frame, uint8_t index) {
     if (index == LPVG_CAN_VDC2_INDEX) {
         lpvg_can_vdc2_t m{};
         promise(lpvg_can_vdc2_unpack(&m, &frame) == lpvg_status_ok, "an accepted frame unpacks");
-        promise(lpvg_can_vdc2_yaw_rate_decode(m.yaw_rate, &value) == lpvg_can_quality_good, "yaw rate is good");
+        promise(lpvg_can_decode(&lpvg_can_vdc2_yaw_rate, m.yaw_rate, &value) == lpvg_can_quality_good, "yaw rate is good");
         promise(value >= -1.5001F && value <= 1.5001F, "yaw rate is in range");
     } else if (index == LPVG_CAN_GUARD_IN_INDEX) {
         lpvg_can_guard_in_t m{};
         promise(lpvg_can_guard_in_unpack(&m, &frame) == lpvg_status_ok, "an accepted frame unpacks");
-        promise(lpvg_can_guard_in_dp_measured_decode(m.dp_measured, &value) == lpvg_can_quality_good, "dp is good");
+        promise(lpvg_can_decode(&lpvg_can_guard_in_dp_measured, m.dp_measured, &value) == lpvg_can_quality_good, "dp is good");
         promise(value >= -12.5001F && value <= 12.5001F, "dp is in range");
     }
 }

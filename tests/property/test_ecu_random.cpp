@@ -274,16 +274,16 @@ private:
             lpvg_can_vdc2_t vdc2{};
             REQUIRE(lpvg_can_vdc2_unpack(&vdc2, &frame) == lpvg_status_ok);
             float yaw_rate = NAN;
-            const bool there = lpvg_can_vdc2_yaw_rate_decode(vdc2.yaw_rate, &yaw_rate) == lpvg_can_quality_good;
+            const bool there = lpvg_can_decode(&lpvg_can_vdc2_yaw_rate, vdc2.yaw_rate, &yaw_rate) == lpvg_can_quality_good;
             if (vdc2_.take(frame, t_us, there)) {
                 yaw_rate_ = yaw_rate;
-                (void)lpvg_can_vdc2_lateral_acceleration_decode(vdc2.lateral_acceleration, &lateral_);
+                (void)lpvg_can_decode(&lpvg_can_vdc2_lateral_acceleration, vdc2.lateral_acceleration, &lateral_);
             }
         } else if (frame.id == LPVG_CAN_GUARD_IN_ID) {
             lpvg_can_guard_in_t guard{};
             REQUIRE(lpvg_can_guard_in_unpack(&guard, &frame) == lpvg_status_ok);
             if (guard_in_.take(frame, t_us, true)) {
-                (void)lpvg_can_guard_in_dp_measured_decode(guard.dp_measured, &pressure_);
+                (void)lpvg_can_decode(&lpvg_can_guard_in_dp_measured, guard.dp_measured, &pressure_);
                 request_ = guard.control_request;
                 other_priority_ = guard.other_priority;
             }
@@ -291,7 +291,7 @@ private:
             lpvg_can_ebc1_t ebc1{};
             REQUIRE(lpvg_can_ebc1_unpack(&ebc1, &frame) == lpvg_status_ok);
             if (ebc1_.take(frame, t_us, true)) {
-                (void)lpvg_can_ebc1_brake_pedal_position_decode(ebc1.brake_pedal_position, &pedal_);
+                (void)lpvg_can_decode(&lpvg_can_ebc1_brake_pedal_position, ebc1.brake_pedal_position, &pedal_);
                 abs_ = ebc1.abs_active != 0U;
             }
         } else {
@@ -299,7 +299,7 @@ private:
             REQUIRE(lpvg_can_ebc2_unpack(&ebc2, &frame) == lpvg_status_ok);
             if (ebc2_.take(frame, t_us, true)) {
                 float kmh = NAN;
-                (void)lpvg_can_ebc2_front_axle_speed_decode(ebc2.front_axle_speed, &kmh);
+                (void)lpvg_can_decode(&lpvg_can_ebc2_front_axle_speed, ebc2.front_axle_speed, &kmh);
                 speed_ = static_cast<lpvg_real_t>(kmh) * lpvg_real_t(1.0 / 3.6);
             }
         }

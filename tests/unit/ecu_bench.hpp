@@ -143,10 +143,10 @@ private:
         frame.t_us = t_us + clock_off_us;
         const Motion motion = answers ? move() : Motion{};
         lpvg_can_vdc2_t vdc2{};
-        vdc2.steering_wheel_angle = lpvg_can_vdc2_steering_wheel_angle_encode(20.0F * (wheel_angle + motion.wheel_angle));
-        vdc2.yaw_rate = lpvg_can_vdc2_yaw_rate_encode(yaw_rate + motion.yaw_rate);
-        vdc2.lateral_acceleration = lpvg_can_vdc2_lateral_acceleration_encode(lateral + motion.yaw_rate * speed);
-        vdc2.longitudinal_acceleration = lpvg_can_vdc2_longitudinal_acceleration_encode(0.0F);
+        vdc2.steering_wheel_angle = lpvg_can_encode(&lpvg_can_vdc2_steering_wheel_angle, 20.0F * (wheel_angle + motion.wheel_angle));
+        vdc2.yaw_rate = lpvg_can_encode(&lpvg_can_vdc2_yaw_rate, yaw_rate + motion.yaw_rate);
+        vdc2.lateral_acceleration = lpvg_can_encode(&lpvg_can_vdc2_lateral_acceleration, lateral + motion.yaw_rate * speed);
+        vdc2.longitudinal_acceleration = lpvg_can_encode(&lpvg_can_vdc2_longitudinal_acceleration, 0.0F);
         REQUIRE(lpvg_can_vdc2_pack(&vdc2, &frame) == lpvg_status_ok);
         newest_vdc2 = vdc2;
         if (send_vdc2) {
@@ -155,10 +155,10 @@ private:
         lpvg_can_guard_in_t guard{};
         // The brakes: what was demanded a period ago, through a lag.
         pressure += brakes_work ? (brake_gain * static_cast<float>(ecu.control.u[0]) - pressure) * 0.01F / (brake_lag_s + 0.01F) : 0.0F;
-        guard.dp_measured = lpvg_can_guard_in_dp_measured_encode(pressure);
+        guard.dp_measured = lpvg_can_encode(&lpvg_can_guard_in_dp_measured, pressure);
         guard.control_request = t_us < 200'000 ? early_request : request;
         guard.other_priority = other_priority;
-        guard.yaw_rate_command = lpvg_can_guard_in_yaw_rate_command_encode(command);
+        guard.yaw_rate_command = lpvg_can_encode(&lpvg_can_guard_in_yaw_rate_command, command);
         REQUIRE(lpvg_can_guard_in_pack(&guard, &frame) == lpvg_status_ok);
         REQUIRE(lpvg_can_e2e_protect(&frame, LPVG_CAN_GUARD_IN_E2E_DATA_ID, &counter_) == lpvg_status_ok);
         frame.data[4] ^= spoil_guard_in ? 1U : 0U;
@@ -175,14 +175,14 @@ private:
         if (t_us / tick_us % 10 == 0) {
             lpvg_can_ebc2_t ebc2;
             std::memset(&ebc2, 0xFF, sizeof ebc2);
-            ebc2.front_axle_speed = lpvg_can_ebc2_front_axle_speed_encode(speed * 3.6F);
+            ebc2.front_axle_speed = lpvg_can_encode(&lpvg_can_ebc2_front_axle_speed, speed * 3.6F);
             REQUIRE(lpvg_can_ebc2_pack(&ebc2, &frame) == lpvg_status_ok);
             if (send_ebc2) {
                 in.push_back(frame);
             }
             lpvg_can_ebc1_t ebc1{};
             ebc1.abs_active = abs_active;
-            ebc1.brake_pedal_position = lpvg_can_ebc1_brake_pedal_position_encode(pedal_percent);
+            ebc1.brake_pedal_position = lpvg_can_encode(&lpvg_can_ebc1_brake_pedal_position, pedal_percent);
             REQUIRE(lpvg_can_ebc1_pack(&ebc1, &frame) == lpvg_status_ok);
             if (send_ebc1) {
                 in.push_back(frame);
@@ -207,11 +207,11 @@ private:
             CHECK(received == reports++ % 15);
             lpvg_can_guard_out_t message{};
             REQUIRE(lpvg_can_guard_out_unpack(&message, &out[i]) == lpvg_status_ok);
-            lpvg_can_guard_out_dp_demand_decode(message.dp_demand, &report.demand);
-            lpvg_can_guard_out_monitor_margin_decode(message.monitor_margin, &report.statistic);
-            lpvg_can_guard_out_monitor_verdict_decode(message.monitor_verdict, &report.verdict);
-            lpvg_can_guard_out_supervision_state_decode(message.supervision_state, &report.supervision);
-            lpvg_can_guard_out_engagement_decode(message.engagement, &report.engagement);
+            lpvg_can_decode(&lpvg_can_guard_out_dp_demand, message.dp_demand, &report.demand);
+            lpvg_can_decode(&lpvg_can_guard_out_monitor_margin, message.monitor_margin, &report.statistic);
+            lpvg_can_decode(&lpvg_can_guard_out_monitor_verdict, message.monitor_verdict, &report.verdict);
+            lpvg_can_decode(&lpvg_can_guard_out_supervision_state, message.supervision_state, &report.supervision);
+            lpvg_can_decode(&lpvg_can_guard_out_engagement, message.engagement, &report.engagement);
             CHECK(message.command_authentication == (ecu.kept.config.authenticated ? 1U : 0U));
             CHECK(report.engagement ==
                   static_cast<float>(engaged() ? lpvg_ecu_engaged : (ecu.kept.locked ? lpvg_ecu_locked : lpvg_ecu_released)));

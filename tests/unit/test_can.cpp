@@ -583,7 +583,7 @@ TEST_CASE("only the supervised bits count: the others may hold anything", "[unit
 TEST_CASE("a value from before the switch-off, or before a bad frame while off, limits no gradient", "[unit][can]") {
     CanBus bus;
     const auto with = [&](int64_t k, float yaw_rate) {
-        const auto raw = lpvg_can_vdc2_yaw_rate_encode(yaw_rate);
+        const auto raw = lpvg_can_encode(&lpvg_can_vdc2_yaw_rate, yaw_rate);
         auto f = bus.vdc2(k);
         f.data[3] = static_cast<uint8_t>(raw & 0xFFU);
         f.data[4] = static_cast<uint8_t>(raw >> 8U);
@@ -643,7 +643,7 @@ TEST_CASE("the first counter may be any, and a protected frame's signals are jud
     CHECK(bus.send(bus.guard_in(15)) == lpvg_can_event_recovering);  // counter 0
     auto frame = bus.guard_in(16);
     lpvg_can_guard_in_t in{};
-    in.dp_measured = lpvg_can_guard_in_dp_measured_encode(0.5F);
+    in.dp_measured = lpvg_can_encode(&lpvg_can_guard_in_dp_measured, 0.5F);
     in.yaw_rate_command = 0xFFFFU;
     in.control_request = 1U;
     REQUIRE(lpvg_can_guard_in_pack(&in, &frame) == lpvg_status_ok);
@@ -720,7 +720,7 @@ TEST_CASE("limits of a signal are exact: the last good raw value and the first b
 TEST_CASE("gradient: the largest allowed step passes, one more is rejected, a pause allows more", "[unit][can][REQ-CAN-4]") {
     CanBus bus;
     bus.run(1, 5);
-    const auto base = lpvg_can_vdc2_yaw_rate_encode(0.05F);
+    const auto base = lpvg_can_encode(&lpvg_can_vdc2_yaw_rate, 0.05F);
     const uint16_t limit = 820U;  // 10 rad/s2 * 8192 / (rad/s) * 10 ms, and one step of rounding
     const auto with = [&](int64_t k, unsigned raw) {
         auto frame = bus.vdc2(k);
@@ -733,7 +733,7 @@ TEST_CASE("gradient: the largest allowed step passes, one more is rejected, a pa
     SECTION("too much, downwards") { CHECK(bus.send(with(6, base - limit - 1U)) == lpvg_can_event_gradient); }
     SECTION("two periods") { CHECK(bus.send(with(7, base + 2U * limit - 1U)) == lpvg_can_event_accepted); }
     SECTION("a limit without a remainder") {  // lateral acceleration: 150 m/s3 * 2048 / (m/s2) * 10 ms = 3072
-        const auto lateral = lpvg_can_vdc2_lateral_acceleration_encode(0.7F);
+        const auto lateral = lpvg_can_encode(&lpvg_can_vdc2_lateral_acceleration, 0.7F);
         for (const unsigned step : {3074U, 3073U}) {
             CanBus fresh = bus;
             auto frame = bus.vdc2(6);

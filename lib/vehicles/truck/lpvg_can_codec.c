@@ -3,40 +3,36 @@
 
 #include <math.h>
 
-/* Nearest raw value of steps, 0 .. raw_max; steps not a number: absent. */
-static uint32_t round_and_saturate(float steps, uint32_t raw_max, uint32_t absent)
+uint16_t lpvg_can_encode(const lpvg_can_scale_t* scale, float physical)
 {
+    const float steps = (physical - scale->offset) * scale->steps_per_unit;
     if (isnan(steps) != 0) {
-        return absent;
+        return scale->absent;
     }
     if (!(steps > 0.0f)) {
         return 0u;
     }
-    if (steps >= (float)raw_max) {
-        return raw_max;
+    if (steps >= (float)scale->raw_max) {
+        return (uint16_t)scale->raw_max;
     }
     uint32_t raw = (uint32_t)steps;
     if ((steps - (float)raw) >= 0.5f) {
         raw += 1u;
     }
-    return raw;
+    return (uint16_t)raw;
 }
 
-static lpvg_can_quality_t quality(uint32_t raw, uint32_t raw_max, uint32_t error_min, uint32_t absent_min)
+lpvg_can_quality_t lpvg_can_decode(const lpvg_can_scale_t* scale, uint16_t raw, float* physical)
 {
-    if (raw <= raw_max) {
+    *physical = NAN;
+    if (raw <= scale->raw_max) {
+        *physical = (scale->unit_per_step * (float)raw) + scale->offset;
         return lpvg_can_quality_good;
     }
-    if (raw >= absent_min) {
+    if (raw >= scale->absent_min) {
         return lpvg_can_quality_absent;
     }
-    return (raw >= error_min) ? lpvg_can_quality_error : lpvg_can_quality_reserved;
-}
-
-static lpvg_can_quality_t decoded(lpvg_can_quality_t q, float value, float* physical)
-{
-    *physical = (q == lpvg_can_quality_good) ? value : NAN;
-    return q;
+    return (raw >= scale->error_min) ? lpvg_can_quality_error : lpvg_can_quality_reserved;
 }
 
 static const lpvg_can_signal_rule_t vdc2_signals[3] = {
@@ -117,49 +113,13 @@ lpvg_status_t lpvg_can_vdc2_unpack(lpvg_can_vdc2_t* message, const lpvg_can_fram
     message->steering_wheel_angle = (uint16_t)((uint32_t)frame->data[0] | ((uint32_t)frame->data[1] << 8));
     message->yaw_rate = (uint16_t)((uint32_t)frame->data[3] | ((uint32_t)frame->data[4] << 8));
     message->lateral_acceleration = (uint16_t)((uint32_t)frame->data[5] | ((uint32_t)frame->data[6] << 8));
-    message->longitudinal_acceleration = (uint8_t)((uint32_t)frame->data[7]);
+    message->longitudinal_acceleration = (uint16_t)((uint32_t)frame->data[7]);
     return lpvg_status_ok;
 }
-
-uint16_t lpvg_can_vdc2_steering_wheel_angle_encode(float physical)
-{
-    return (uint16_t)round_and_saturate((physical + 31.374f) * 1024.0f, 64255u, 65535u);
-}
-
-lpvg_can_quality_t lpvg_can_vdc2_steering_wheel_angle_decode(uint16_t raw, float* physical)
-{
-    return decoded(quality(raw, 64255u, 65024u, 65280u), (0.0009765625f * (float)raw) - 31.374f, physical);
-}
-
-uint16_t lpvg_can_vdc2_yaw_rate_encode(float physical)
-{
-    return (uint16_t)round_and_saturate((physical + 3.92f) * 8192.0f, 64255u, 65535u);
-}
-
-lpvg_can_quality_t lpvg_can_vdc2_yaw_rate_decode(uint16_t raw, float* physical)
-{
-    return decoded(quality(raw, 64255u, 65024u, 65280u), (0.000122070312f * (float)raw) - 3.92f, physical);
-}
-
-uint16_t lpvg_can_vdc2_lateral_acceleration_encode(float physical)
-{
-    return (uint16_t)round_and_saturate((physical + 15.687f) * 2048.0f, 64255u, 65535u);
-}
-
-lpvg_can_quality_t lpvg_can_vdc2_lateral_acceleration_decode(uint16_t raw, float* physical)
-{
-    return decoded(quality(raw, 64255u, 65024u, 65280u), (0.00048828125f * (float)raw) - 15.687f, physical);
-}
-
-uint8_t lpvg_can_vdc2_longitudinal_acceleration_encode(float physical)
-{
-    return (uint8_t)round_and_saturate((physical + 12.5f) * 10.0f, 250u, 255u);
-}
-
-lpvg_can_quality_t lpvg_can_vdc2_longitudinal_acceleration_decode(uint8_t raw, float* physical)
-{
-    return decoded(quality(raw, 250u, 254u, 255u), (0.1f * (float)raw) - 12.5f, physical);
-}
+const lpvg_can_scale_t lpvg_can_vdc2_steering_wheel_angle = {0.0009765625f, -31.374f, 1024.0f, 64255u, 65024u, 65280u, 65535u};
+const lpvg_can_scale_t lpvg_can_vdc2_yaw_rate = {0.000122070312f, -3.92f, 8192.0f, 64255u, 65024u, 65280u, 65535u};
+const lpvg_can_scale_t lpvg_can_vdc2_lateral_acceleration = {0.00048828125f, -15.687f, 2048.0f, 64255u, 65024u, 65280u, 65535u};
+const lpvg_can_scale_t lpvg_can_vdc2_longitudinal_acceleration = {0.1f, -12.5f, 10.0f, 250u, 254u, 255u, 255u};
 
 /* EBC2 */
 
@@ -190,84 +150,21 @@ lpvg_status_t lpvg_can_ebc2_unpack(lpvg_can_ebc2_t* message, const lpvg_can_fram
         return lpvg_status_bad_sample;
     }
     message->front_axle_speed = (uint16_t)((uint32_t)frame->data[0] | ((uint32_t)frame->data[1] << 8));
-    message->relative_speed_front_left = (uint8_t)((uint32_t)frame->data[2]);
-    message->relative_speed_front_right = (uint8_t)((uint32_t)frame->data[3]);
-    message->relative_speed_rear1_left = (uint8_t)((uint32_t)frame->data[4]);
-    message->relative_speed_rear1_right = (uint8_t)((uint32_t)frame->data[5]);
-    message->relative_speed_rear2_left = (uint8_t)((uint32_t)frame->data[6]);
-    message->relative_speed_rear2_right = (uint8_t)((uint32_t)frame->data[7]);
+    message->relative_speed_front_left = (uint16_t)((uint32_t)frame->data[2]);
+    message->relative_speed_front_right = (uint16_t)((uint32_t)frame->data[3]);
+    message->relative_speed_rear1_left = (uint16_t)((uint32_t)frame->data[4]);
+    message->relative_speed_rear1_right = (uint16_t)((uint32_t)frame->data[5]);
+    message->relative_speed_rear2_left = (uint16_t)((uint32_t)frame->data[6]);
+    message->relative_speed_rear2_right = (uint16_t)((uint32_t)frame->data[7]);
     return lpvg_status_ok;
 }
-
-uint16_t lpvg_can_ebc2_front_axle_speed_encode(float physical)
-{
-    return (uint16_t)round_and_saturate(physical * 256.0f, 64255u, 65535u);
-}
-
-lpvg_can_quality_t lpvg_can_ebc2_front_axle_speed_decode(uint16_t raw, float* physical)
-{
-    return decoded(quality(raw, 64255u, 65024u, 65280u), 0.00390625f * (float)raw, physical);
-}
-
-uint8_t lpvg_can_ebc2_relative_speed_front_left_encode(float physical)
-{
-    return (uint8_t)round_and_saturate((physical + 7.8125f) * 16.0f, 250u, 255u);
-}
-
-lpvg_can_quality_t lpvg_can_ebc2_relative_speed_front_left_decode(uint8_t raw, float* physical)
-{
-    return decoded(quality(raw, 250u, 254u, 255u), (0.0625f * (float)raw) - 7.8125f, physical);
-}
-
-uint8_t lpvg_can_ebc2_relative_speed_front_right_encode(float physical)
-{
-    return (uint8_t)round_and_saturate((physical + 7.8125f) * 16.0f, 250u, 255u);
-}
-
-lpvg_can_quality_t lpvg_can_ebc2_relative_speed_front_right_decode(uint8_t raw, float* physical)
-{
-    return decoded(quality(raw, 250u, 254u, 255u), (0.0625f * (float)raw) - 7.8125f, physical);
-}
-
-uint8_t lpvg_can_ebc2_relative_speed_rear1_left_encode(float physical)
-{
-    return (uint8_t)round_and_saturate((physical + 7.8125f) * 16.0f, 250u, 255u);
-}
-
-lpvg_can_quality_t lpvg_can_ebc2_relative_speed_rear1_left_decode(uint8_t raw, float* physical)
-{
-    return decoded(quality(raw, 250u, 254u, 255u), (0.0625f * (float)raw) - 7.8125f, physical);
-}
-
-uint8_t lpvg_can_ebc2_relative_speed_rear1_right_encode(float physical)
-{
-    return (uint8_t)round_and_saturate((physical + 7.8125f) * 16.0f, 250u, 255u);
-}
-
-lpvg_can_quality_t lpvg_can_ebc2_relative_speed_rear1_right_decode(uint8_t raw, float* physical)
-{
-    return decoded(quality(raw, 250u, 254u, 255u), (0.0625f * (float)raw) - 7.8125f, physical);
-}
-
-uint8_t lpvg_can_ebc2_relative_speed_rear2_left_encode(float physical)
-{
-    return (uint8_t)round_and_saturate((physical + 7.8125f) * 16.0f, 250u, 255u);
-}
-
-lpvg_can_quality_t lpvg_can_ebc2_relative_speed_rear2_left_decode(uint8_t raw, float* physical)
-{
-    return decoded(quality(raw, 250u, 254u, 255u), (0.0625f * (float)raw) - 7.8125f, physical);
-}
-
-uint8_t lpvg_can_ebc2_relative_speed_rear2_right_encode(float physical)
-{
-    return (uint8_t)round_and_saturate((physical + 7.8125f) * 16.0f, 250u, 255u);
-}
-
-lpvg_can_quality_t lpvg_can_ebc2_relative_speed_rear2_right_decode(uint8_t raw, float* physical)
-{
-    return decoded(quality(raw, 250u, 254u, 255u), (0.0625f * (float)raw) - 7.8125f, physical);
-}
+const lpvg_can_scale_t lpvg_can_ebc2_front_axle_speed = {0.00390625f, 0.0f, 256.0f, 64255u, 65024u, 65280u, 65535u};
+const lpvg_can_scale_t lpvg_can_ebc2_relative_speed_front_left = {0.0625f, -7.8125f, 16.0f, 250u, 254u, 255u, 255u};
+const lpvg_can_scale_t lpvg_can_ebc2_relative_speed_front_right = {0.0625f, -7.8125f, 16.0f, 250u, 254u, 255u, 255u};
+const lpvg_can_scale_t lpvg_can_ebc2_relative_speed_rear1_left = {0.0625f, -7.8125f, 16.0f, 250u, 254u, 255u, 255u};
+const lpvg_can_scale_t lpvg_can_ebc2_relative_speed_rear1_right = {0.0625f, -7.8125f, 16.0f, 250u, 254u, 255u, 255u};
+const lpvg_can_scale_t lpvg_can_ebc2_relative_speed_rear2_left = {0.0625f, -7.8125f, 16.0f, 250u, 254u, 255u, 255u};
+const lpvg_can_scale_t lpvg_can_ebc2_relative_speed_rear2_right = {0.0625f, -7.8125f, 16.0f, 250u, 254u, 255u, 255u};
 
 /* CCVS1 */
 
@@ -300,16 +197,7 @@ lpvg_status_t lpvg_can_ccvs1_unpack(lpvg_can_ccvs1_t* message, const lpvg_can_fr
     message->wheel_based_speed = (uint16_t)((uint32_t)frame->data[1] | ((uint32_t)frame->data[2] << 8));
     return lpvg_status_ok;
 }
-
-uint16_t lpvg_can_ccvs1_wheel_based_speed_encode(float physical)
-{
-    return (uint16_t)round_and_saturate(physical * 256.0f, 64255u, 65535u);
-}
-
-lpvg_can_quality_t lpvg_can_ccvs1_wheel_based_speed_decode(uint16_t raw, float* physical)
-{
-    return decoded(quality(raw, 64255u, 65024u, 65280u), 0.00390625f * (float)raw, physical);
-}
+const lpvg_can_scale_t lpvg_can_ccvs1_wheel_based_speed = {0.00390625f, 0.0f, 256.0f, 64255u, 65024u, 65280u, 65535u};
 
 /* EBC3 */
 
@@ -339,96 +227,24 @@ lpvg_status_t lpvg_can_ebc3_unpack(lpvg_can_ebc3_t* message, const lpvg_can_fram
     if (frame->dlc < 8u) {
         return lpvg_status_bad_sample;
     }
-    message->pressure_front_left = (uint8_t)((uint32_t)frame->data[0]);
-    message->pressure_front_right = (uint8_t)((uint32_t)frame->data[1]);
-    message->pressure_rear1_left = (uint8_t)((uint32_t)frame->data[2]);
-    message->pressure_rear1_right = (uint8_t)((uint32_t)frame->data[3]);
-    message->pressure_rear2_left = (uint8_t)((uint32_t)frame->data[4]);
-    message->pressure_rear2_right = (uint8_t)((uint32_t)frame->data[5]);
-    message->pressure_rear3_left = (uint8_t)((uint32_t)frame->data[6]);
-    message->pressure_rear3_right = (uint8_t)((uint32_t)frame->data[7]);
+    message->pressure_front_left = (uint16_t)((uint32_t)frame->data[0]);
+    message->pressure_front_right = (uint16_t)((uint32_t)frame->data[1]);
+    message->pressure_rear1_left = (uint16_t)((uint32_t)frame->data[2]);
+    message->pressure_rear1_right = (uint16_t)((uint32_t)frame->data[3]);
+    message->pressure_rear2_left = (uint16_t)((uint32_t)frame->data[4]);
+    message->pressure_rear2_right = (uint16_t)((uint32_t)frame->data[5]);
+    message->pressure_rear3_left = (uint16_t)((uint32_t)frame->data[6]);
+    message->pressure_rear3_right = (uint16_t)((uint32_t)frame->data[7]);
     return lpvg_status_ok;
 }
-
-uint8_t lpvg_can_ebc3_pressure_front_left_encode(float physical)
-{
-    return (uint8_t)round_and_saturate(physical * 0.2f, 250u, 255u);
-}
-
-lpvg_can_quality_t lpvg_can_ebc3_pressure_front_left_decode(uint8_t raw, float* physical)
-{
-    return decoded(quality(raw, 250u, 254u, 255u), 5.0f * (float)raw, physical);
-}
-
-uint8_t lpvg_can_ebc3_pressure_front_right_encode(float physical)
-{
-    return (uint8_t)round_and_saturate(physical * 0.2f, 250u, 255u);
-}
-
-lpvg_can_quality_t lpvg_can_ebc3_pressure_front_right_decode(uint8_t raw, float* physical)
-{
-    return decoded(quality(raw, 250u, 254u, 255u), 5.0f * (float)raw, physical);
-}
-
-uint8_t lpvg_can_ebc3_pressure_rear1_left_encode(float physical)
-{
-    return (uint8_t)round_and_saturate(physical * 0.2f, 250u, 255u);
-}
-
-lpvg_can_quality_t lpvg_can_ebc3_pressure_rear1_left_decode(uint8_t raw, float* physical)
-{
-    return decoded(quality(raw, 250u, 254u, 255u), 5.0f * (float)raw, physical);
-}
-
-uint8_t lpvg_can_ebc3_pressure_rear1_right_encode(float physical)
-{
-    return (uint8_t)round_and_saturate(physical * 0.2f, 250u, 255u);
-}
-
-lpvg_can_quality_t lpvg_can_ebc3_pressure_rear1_right_decode(uint8_t raw, float* physical)
-{
-    return decoded(quality(raw, 250u, 254u, 255u), 5.0f * (float)raw, physical);
-}
-
-uint8_t lpvg_can_ebc3_pressure_rear2_left_encode(float physical)
-{
-    return (uint8_t)round_and_saturate(physical * 0.2f, 250u, 255u);
-}
-
-lpvg_can_quality_t lpvg_can_ebc3_pressure_rear2_left_decode(uint8_t raw, float* physical)
-{
-    return decoded(quality(raw, 250u, 254u, 255u), 5.0f * (float)raw, physical);
-}
-
-uint8_t lpvg_can_ebc3_pressure_rear2_right_encode(float physical)
-{
-    return (uint8_t)round_and_saturate(physical * 0.2f, 250u, 255u);
-}
-
-lpvg_can_quality_t lpvg_can_ebc3_pressure_rear2_right_decode(uint8_t raw, float* physical)
-{
-    return decoded(quality(raw, 250u, 254u, 255u), 5.0f * (float)raw, physical);
-}
-
-uint8_t lpvg_can_ebc3_pressure_rear3_left_encode(float physical)
-{
-    return (uint8_t)round_and_saturate(physical * 0.2f, 250u, 255u);
-}
-
-lpvg_can_quality_t lpvg_can_ebc3_pressure_rear3_left_decode(uint8_t raw, float* physical)
-{
-    return decoded(quality(raw, 250u, 254u, 255u), 5.0f * (float)raw, physical);
-}
-
-uint8_t lpvg_can_ebc3_pressure_rear3_right_encode(float physical)
-{
-    return (uint8_t)round_and_saturate(physical * 0.2f, 250u, 255u);
-}
-
-lpvg_can_quality_t lpvg_can_ebc3_pressure_rear3_right_decode(uint8_t raw, float* physical)
-{
-    return decoded(quality(raw, 250u, 254u, 255u), 5.0f * (float)raw, physical);
-}
+const lpvg_can_scale_t lpvg_can_ebc3_pressure_front_left = {5.0f, 0.0f, 0.2f, 250u, 254u, 255u, 255u};
+const lpvg_can_scale_t lpvg_can_ebc3_pressure_front_right = {5.0f, 0.0f, 0.2f, 250u, 254u, 255u, 255u};
+const lpvg_can_scale_t lpvg_can_ebc3_pressure_rear1_left = {5.0f, 0.0f, 0.2f, 250u, 254u, 255u, 255u};
+const lpvg_can_scale_t lpvg_can_ebc3_pressure_rear1_right = {5.0f, 0.0f, 0.2f, 250u, 254u, 255u, 255u};
+const lpvg_can_scale_t lpvg_can_ebc3_pressure_rear2_left = {5.0f, 0.0f, 0.2f, 250u, 254u, 255u, 255u};
+const lpvg_can_scale_t lpvg_can_ebc3_pressure_rear2_right = {5.0f, 0.0f, 0.2f, 250u, 254u, 255u, 255u};
+const lpvg_can_scale_t lpvg_can_ebc3_pressure_rear3_left = {5.0f, 0.0f, 0.2f, 250u, 254u, 255u, 255u};
+const lpvg_can_scale_t lpvg_can_ebc3_pressure_rear3_right = {5.0f, 0.0f, 0.2f, 250u, 254u, 255u, 255u};
 
 /* EBC1 */
 
@@ -458,30 +274,12 @@ lpvg_status_t lpvg_can_ebc1_unpack(lpvg_can_ebc1_t* message, const lpvg_can_fram
     if (frame->dlc < 8u) {
         return lpvg_status_bad_sample;
     }
-    message->abs_active = (uint8_t)((((uint32_t)frame->data[0] >> 4) & 0x3u));
-    message->brake_pedal_position = (uint8_t)((uint32_t)frame->data[1]);
+    message->abs_active = (uint16_t)((((uint32_t)frame->data[0] >> 4) & 0x3u));
+    message->brake_pedal_position = (uint16_t)((uint32_t)frame->data[1]);
     return lpvg_status_ok;
 }
-
-uint8_t lpvg_can_ebc1_abs_active_encode(float physical)
-{
-    return (uint8_t)round_and_saturate(physical, 1u, 3u);
-}
-
-lpvg_can_quality_t lpvg_can_ebc1_abs_active_decode(uint8_t raw, float* physical)
-{
-    return decoded(quality(raw, 1u, 2u, 3u), (float)raw, physical);
-}
-
-uint8_t lpvg_can_ebc1_brake_pedal_position_encode(float physical)
-{
-    return (uint8_t)round_and_saturate(physical * 2.5f, 250u, 255u);
-}
-
-lpvg_can_quality_t lpvg_can_ebc1_brake_pedal_position_decode(uint8_t raw, float* physical)
-{
-    return decoded(quality(raw, 250u, 254u, 255u), 0.4f * (float)raw, physical);
-}
+const lpvg_can_scale_t lpvg_can_ebc1_abs_active = {1.0f, 0.0f, 1.0f, 1u, 2u, 3u, 3u};
+const lpvg_can_scale_t lpvg_can_ebc1_brake_pedal_position = {0.4f, 0.0f, 2.5f, 250u, 254u, 255u, 255u};
 
 /* GUARD_IN */
 
@@ -513,50 +311,14 @@ lpvg_status_t lpvg_can_guard_in_unpack(lpvg_can_guard_in_t* message, const lpvg_
     }
     message->dp_measured = (uint16_t)((uint32_t)frame->data[2] | ((uint32_t)frame->data[3] << 8));
     message->yaw_rate_command = (uint16_t)((uint32_t)frame->data[4] | ((uint32_t)frame->data[5] << 8));
-    message->control_request = (uint8_t)(((uint32_t)frame->data[6] & 0xFu));
-    message->other_priority = (uint8_t)((((uint32_t)frame->data[6] >> 4) & 0xFu));
+    message->control_request = (uint16_t)(((uint32_t)frame->data[6] & 0xFu));
+    message->other_priority = (uint16_t)((((uint32_t)frame->data[6] >> 4) & 0xFu));
     return lpvg_status_ok;
 }
-
-uint16_t lpvg_can_guard_in_dp_measured_encode(float physical)
-{
-    return (uint16_t)round_and_saturate((physical + 15.687f) * 2048.0f, 64255u, 65535u);
-}
-
-lpvg_can_quality_t lpvg_can_guard_in_dp_measured_decode(uint16_t raw, float* physical)
-{
-    return decoded(quality(raw, 64255u, 65024u, 65280u), (0.00048828125f * (float)raw) - 15.687f, physical);
-}
-
-uint16_t lpvg_can_guard_in_yaw_rate_command_encode(float physical)
-{
-    return (uint16_t)round_and_saturate((physical + 3.92f) * 8192.0f, 64255u, 65535u);
-}
-
-lpvg_can_quality_t lpvg_can_guard_in_yaw_rate_command_decode(uint16_t raw, float* physical)
-{
-    return decoded(quality(raw, 64255u, 65024u, 65280u), (0.000122070312f * (float)raw) - 3.92f, physical);
-}
-
-uint8_t lpvg_can_guard_in_control_request_encode(float physical)
-{
-    return (uint8_t)round_and_saturate(physical, 13u, 15u);
-}
-
-lpvg_can_quality_t lpvg_can_guard_in_control_request_decode(uint8_t raw, float* physical)
-{
-    return decoded(quality(raw, 13u, 14u, 15u), (float)raw, physical);
-}
-
-uint8_t lpvg_can_guard_in_other_priority_encode(float physical)
-{
-    return (uint8_t)round_and_saturate(physical, 13u, 15u);
-}
-
-lpvg_can_quality_t lpvg_can_guard_in_other_priority_decode(uint8_t raw, float* physical)
-{
-    return decoded(quality(raw, 13u, 14u, 15u), (float)raw, physical);
-}
+const lpvg_can_scale_t lpvg_can_guard_in_dp_measured = {0.00048828125f, -15.687f, 2048.0f, 64255u, 65024u, 65280u, 65535u};
+const lpvg_can_scale_t lpvg_can_guard_in_yaw_rate_command = {0.000122070312f, -3.92f, 8192.0f, 64255u, 65024u, 65280u, 65535u};
+const lpvg_can_scale_t lpvg_can_guard_in_control_request = {1.0f, 0.0f, 1.0f, 13u, 14u, 15u, 15u};
+const lpvg_can_scale_t lpvg_can_guard_in_other_priority = {1.0f, 0.0f, 1.0f, 13u, 14u, 15u, 15u};
 
 /* GUARD_OUT */
 
@@ -588,69 +350,15 @@ lpvg_status_t lpvg_can_guard_out_unpack(lpvg_can_guard_out_t* message, const lpv
     }
     message->dp_demand = (uint16_t)((uint32_t)frame->data[2] | ((uint32_t)frame->data[3] << 8));
     message->monitor_margin = (uint16_t)((uint32_t)frame->data[4] | ((uint32_t)frame->data[5] << 8));
-    message->monitor_verdict = (uint8_t)(((uint32_t)frame->data[6] & 0xFu));
-    message->command_authentication = (uint8_t)((((uint32_t)frame->data[6] >> 4) & 0x3u));
-    message->supervision_state = (uint8_t)(((uint32_t)frame->data[7] & 0xFu));
-    message->engagement = (uint8_t)((((uint32_t)frame->data[7] >> 4) & 0xFu));
+    message->monitor_verdict = (uint16_t)(((uint32_t)frame->data[6] & 0xFu));
+    message->command_authentication = (uint16_t)((((uint32_t)frame->data[6] >> 4) & 0x3u));
+    message->supervision_state = (uint16_t)(((uint32_t)frame->data[7] & 0xFu));
+    message->engagement = (uint16_t)((((uint32_t)frame->data[7] >> 4) & 0xFu));
     return lpvg_status_ok;
 }
-
-uint16_t lpvg_can_guard_out_dp_demand_encode(float physical)
-{
-    return (uint16_t)round_and_saturate((physical + 15.687f) * 2048.0f, 64255u, 65535u);
-}
-
-lpvg_can_quality_t lpvg_can_guard_out_dp_demand_decode(uint16_t raw, float* physical)
-{
-    return decoded(quality(raw, 64255u, 65024u, 65280u), (0.00048828125f * (float)raw) - 15.687f, physical);
-}
-
-uint16_t lpvg_can_guard_out_monitor_margin_encode(float physical)
-{
-    return (uint16_t)round_and_saturate(physical * 1024.0f, 64255u, 65535u);
-}
-
-lpvg_can_quality_t lpvg_can_guard_out_monitor_margin_decode(uint16_t raw, float* physical)
-{
-    return decoded(quality(raw, 64255u, 65024u, 65280u), 0.0009765625f * (float)raw, physical);
-}
-
-uint8_t lpvg_can_guard_out_monitor_verdict_encode(float physical)
-{
-    return (uint8_t)round_and_saturate(physical, 13u, 15u);
-}
-
-lpvg_can_quality_t lpvg_can_guard_out_monitor_verdict_decode(uint8_t raw, float* physical)
-{
-    return decoded(quality(raw, 13u, 14u, 15u), (float)raw, physical);
-}
-
-uint8_t lpvg_can_guard_out_command_authentication_encode(float physical)
-{
-    return (uint8_t)round_and_saturate(physical, 1u, 3u);
-}
-
-lpvg_can_quality_t lpvg_can_guard_out_command_authentication_decode(uint8_t raw, float* physical)
-{
-    return decoded(quality(raw, 1u, 2u, 3u), (float)raw, physical);
-}
-
-uint8_t lpvg_can_guard_out_supervision_state_encode(float physical)
-{
-    return (uint8_t)round_and_saturate(physical, 13u, 15u);
-}
-
-lpvg_can_quality_t lpvg_can_guard_out_supervision_state_decode(uint8_t raw, float* physical)
-{
-    return decoded(quality(raw, 13u, 14u, 15u), (float)raw, physical);
-}
-
-uint8_t lpvg_can_guard_out_engagement_encode(float physical)
-{
-    return (uint8_t)round_and_saturate(physical, 13u, 15u);
-}
-
-lpvg_can_quality_t lpvg_can_guard_out_engagement_decode(uint8_t raw, float* physical)
-{
-    return decoded(quality(raw, 13u, 14u, 15u), (float)raw, physical);
-}
+const lpvg_can_scale_t lpvg_can_guard_out_dp_demand = {0.00048828125f, -15.687f, 2048.0f, 64255u, 65024u, 65280u, 65535u};
+const lpvg_can_scale_t lpvg_can_guard_out_monitor_margin = {0.0009765625f, 0.0f, 1024.0f, 64255u, 65024u, 65280u, 65535u};
+const lpvg_can_scale_t lpvg_can_guard_out_monitor_verdict = {1.0f, 0.0f, 1.0f, 13u, 14u, 15u, 15u};
+const lpvg_can_scale_t lpvg_can_guard_out_command_authentication = {1.0f, 0.0f, 1.0f, 1u, 2u, 3u, 3u};
+const lpvg_can_scale_t lpvg_can_guard_out_supervision_state = {1.0f, 0.0f, 1.0f, 13u, 14u, 15u, 15u};
+const lpvg_can_scale_t lpvg_can_guard_out_engagement = {1.0f, 0.0f, 1.0f, 13u, 14u, 15u, 15u};

@@ -8,9 +8,23 @@
 extern "C" {
 #endif
 
-/* Structs hold raw values. physical = scale * raw + offset.
- * encode: rounds to the nearest raw value, saturates at the ends of the range; NaN becomes "not available".
- * decode: writes the physical value and returns good; otherwise writes NaN and returns why there is no value.
+/* Structs hold raw values. Each signal of a message has a scale of the same name. */
+typedef struct lpvg_can_scale_t {
+    float unit_per_step;
+    float offset; /* physical = unit_per_step * raw + offset */
+    float steps_per_unit;
+    uint32_t raw_max;    /* largest raw value that is data */
+    uint32_t error_min;  /* least raw value of an error */
+    uint32_t absent_min; /* least raw value of "not available" */
+    uint16_t absent;     /* what NaN becomes */
+} lpvg_can_scale_t;
+
+/* Nearest raw value, saturated at the ends of the range; NaN becomes "not available". */
+uint16_t lpvg_can_encode(const lpvg_can_scale_t* scale, float physical);
+/* Writes the physical value and returns good; otherwise writes NaN and returns why there is no value. */
+lpvg_can_quality_t lpvg_can_decode(const lpvg_can_scale_t* scale, uint16_t raw, float* physical);
+
+/*
  * pack:   fills id, dlc and data, unused bits 1, E2E header not yet (lpvg_can_e2e_protect); keeps t_us. The raw values are
  *         cut to their width. Returns bad_argument when a pointer is NULL.
  * unpack: returns bad_argument when a pointer is NULL, bad_sample when dlc is below 8 (*message is then untouched).
@@ -39,19 +53,15 @@ typedef struct lpvg_can_vdc2_t {
     /* SPN 1809; raw 0 .. 64255; physical -15.687 .. 15.68751171875 m/s2; scale 0.00048828125, offset -15.687; positive: left */
     uint16_t lateral_acceleration;
     /* SPN 1810; raw 0 .. 250; physical -12.5 .. 12.5 m/s2; scale 0.1, offset -12.5; positive: forward */
-    uint8_t longitudinal_acceleration;
+    uint16_t longitudinal_acceleration;
 } lpvg_can_vdc2_t;
 
 LPVG_NODISCARD lpvg_status_t lpvg_can_vdc2_pack(const lpvg_can_vdc2_t* message, lpvg_can_frame_t* frame);
 LPVG_NODISCARD lpvg_status_t lpvg_can_vdc2_unpack(lpvg_can_vdc2_t* message, const lpvg_can_frame_t* frame);
-uint16_t lpvg_can_vdc2_steering_wheel_angle_encode(float physical);
-lpvg_can_quality_t lpvg_can_vdc2_steering_wheel_angle_decode(uint16_t raw, float* physical);
-uint16_t lpvg_can_vdc2_yaw_rate_encode(float physical);
-lpvg_can_quality_t lpvg_can_vdc2_yaw_rate_decode(uint16_t raw, float* physical);
-uint16_t lpvg_can_vdc2_lateral_acceleration_encode(float physical);
-lpvg_can_quality_t lpvg_can_vdc2_lateral_acceleration_decode(uint16_t raw, float* physical);
-uint8_t lpvg_can_vdc2_longitudinal_acceleration_encode(float physical);
-lpvg_can_quality_t lpvg_can_vdc2_longitudinal_acceleration_decode(uint8_t raw, float* physical);
+extern const lpvg_can_scale_t lpvg_can_vdc2_steering_wheel_angle;
+extern const lpvg_can_scale_t lpvg_can_vdc2_yaw_rate;
+extern const lpvg_can_scale_t lpvg_can_vdc2_lateral_acceleration;
+extern const lpvg_can_scale_t lpvg_can_vdc2_longitudinal_acceleration;
 
 /* EBC2: wheel speed information. PGN 65215, 100 ms, no counter, no checksum. */
 #define LPVG_CAN_EBC2_ID (LPVG_CAN_EXTENDED | 0x18FEBF0Bu)
@@ -60,35 +70,28 @@ typedef struct lpvg_can_ebc2_t {
     /* SPN 904; raw 0 .. 64255; physical 0 .. 250.99609375 km/h; scale 0.00390625, offset 0; positive: forward */
     uint16_t front_axle_speed;
     /* SPN 905; raw 0 .. 250; physical -7.8125 .. 7.8125 km/h; scale 0.0625, offset -7.8125; positive: faster than the front axle */
-    uint8_t relative_speed_front_left;
+    uint16_t relative_speed_front_left;
     /* SPN 906; raw 0 .. 250; physical -7.8125 .. 7.8125 km/h; scale 0.0625, offset -7.8125; positive: faster than the front axle */
-    uint8_t relative_speed_front_right;
+    uint16_t relative_speed_front_right;
     /* SPN 907; raw 0 .. 250; physical -7.8125 .. 7.8125 km/h; scale 0.0625, offset -7.8125; positive: faster than the front axle */
-    uint8_t relative_speed_rear1_left;
+    uint16_t relative_speed_rear1_left;
     /* SPN 908; raw 0 .. 250; physical -7.8125 .. 7.8125 km/h; scale 0.0625, offset -7.8125; positive: faster than the front axle */
-    uint8_t relative_speed_rear1_right;
+    uint16_t relative_speed_rear1_right;
     /* SPN 909; raw 0 .. 250; physical -7.8125 .. 7.8125 km/h; scale 0.0625, offset -7.8125; positive: faster than the front axle */
-    uint8_t relative_speed_rear2_left;
+    uint16_t relative_speed_rear2_left;
     /* SPN 910; raw 0 .. 250; physical -7.8125 .. 7.8125 km/h; scale 0.0625, offset -7.8125; positive: faster than the front axle */
-    uint8_t relative_speed_rear2_right;
+    uint16_t relative_speed_rear2_right;
 } lpvg_can_ebc2_t;
 
 LPVG_NODISCARD lpvg_status_t lpvg_can_ebc2_pack(const lpvg_can_ebc2_t* message, lpvg_can_frame_t* frame);
 LPVG_NODISCARD lpvg_status_t lpvg_can_ebc2_unpack(lpvg_can_ebc2_t* message, const lpvg_can_frame_t* frame);
-uint16_t lpvg_can_ebc2_front_axle_speed_encode(float physical);
-lpvg_can_quality_t lpvg_can_ebc2_front_axle_speed_decode(uint16_t raw, float* physical);
-uint8_t lpvg_can_ebc2_relative_speed_front_left_encode(float physical);
-lpvg_can_quality_t lpvg_can_ebc2_relative_speed_front_left_decode(uint8_t raw, float* physical);
-uint8_t lpvg_can_ebc2_relative_speed_front_right_encode(float physical);
-lpvg_can_quality_t lpvg_can_ebc2_relative_speed_front_right_decode(uint8_t raw, float* physical);
-uint8_t lpvg_can_ebc2_relative_speed_rear1_left_encode(float physical);
-lpvg_can_quality_t lpvg_can_ebc2_relative_speed_rear1_left_decode(uint8_t raw, float* physical);
-uint8_t lpvg_can_ebc2_relative_speed_rear1_right_encode(float physical);
-lpvg_can_quality_t lpvg_can_ebc2_relative_speed_rear1_right_decode(uint8_t raw, float* physical);
-uint8_t lpvg_can_ebc2_relative_speed_rear2_left_encode(float physical);
-lpvg_can_quality_t lpvg_can_ebc2_relative_speed_rear2_left_decode(uint8_t raw, float* physical);
-uint8_t lpvg_can_ebc2_relative_speed_rear2_right_encode(float physical);
-lpvg_can_quality_t lpvg_can_ebc2_relative_speed_rear2_right_decode(uint8_t raw, float* physical);
+extern const lpvg_can_scale_t lpvg_can_ebc2_front_axle_speed;
+extern const lpvg_can_scale_t lpvg_can_ebc2_relative_speed_front_left;
+extern const lpvg_can_scale_t lpvg_can_ebc2_relative_speed_front_right;
+extern const lpvg_can_scale_t lpvg_can_ebc2_relative_speed_rear1_left;
+extern const lpvg_can_scale_t lpvg_can_ebc2_relative_speed_rear1_right;
+extern const lpvg_can_scale_t lpvg_can_ebc2_relative_speed_rear2_left;
+extern const lpvg_can_scale_t lpvg_can_ebc2_relative_speed_rear2_right;
 
 /* CCVS1: cruise control and vehicle speed 1. PGN 65265, 100 ms, no counter, no checksum. */
 #define LPVG_CAN_CCVS1_ID (LPVG_CAN_EXTENDED | 0x18FEF100u)
@@ -100,66 +103,55 @@ typedef struct lpvg_can_ccvs1_t {
 
 LPVG_NODISCARD lpvg_status_t lpvg_can_ccvs1_pack(const lpvg_can_ccvs1_t* message, lpvg_can_frame_t* frame);
 LPVG_NODISCARD lpvg_status_t lpvg_can_ccvs1_unpack(lpvg_can_ccvs1_t* message, const lpvg_can_frame_t* frame);
-uint16_t lpvg_can_ccvs1_wheel_based_speed_encode(float physical);
-lpvg_can_quality_t lpvg_can_ccvs1_wheel_based_speed_decode(uint16_t raw, float* physical);
+extern const lpvg_can_scale_t lpvg_can_ccvs1_wheel_based_speed;
 
 /* EBC3: brake pressures at the wheels (too slow and coarse for the loop; a plausibility check). PGN 65197, 100 ms, no counter, no checksum. */
 #define LPVG_CAN_EBC3_ID (LPVG_CAN_EXTENDED | 0x18FEAD0Bu)
 #define LPVG_CAN_EBC3_PERIOD_US 100000u
 typedef struct lpvg_can_ebc3_t {
     /* SPN 1091; raw 0 .. 250; physical 0 .. 1250 kPa; scale 5, offset 0; positive: braking */
-    uint8_t pressure_front_left;
+    uint16_t pressure_front_left;
     /* SPN 1092; raw 0 .. 250; physical 0 .. 1250 kPa; scale 5, offset 0; positive: braking */
-    uint8_t pressure_front_right;
+    uint16_t pressure_front_right;
     /* SPN 1093; raw 0 .. 250; physical 0 .. 1250 kPa; scale 5, offset 0; positive: braking */
-    uint8_t pressure_rear1_left;
+    uint16_t pressure_rear1_left;
     /* SPN 1094; raw 0 .. 250; physical 0 .. 1250 kPa; scale 5, offset 0; positive: braking */
-    uint8_t pressure_rear1_right;
+    uint16_t pressure_rear1_right;
     /* SPN 1095; raw 0 .. 250; physical 0 .. 1250 kPa; scale 5, offset 0; positive: braking */
-    uint8_t pressure_rear2_left;
+    uint16_t pressure_rear2_left;
     /* SPN 1096; raw 0 .. 250; physical 0 .. 1250 kPa; scale 5, offset 0; positive: braking */
-    uint8_t pressure_rear2_right;
+    uint16_t pressure_rear2_right;
     /* SPN 1097; raw 0 .. 250; physical 0 .. 1250 kPa; scale 5, offset 0; positive: braking */
-    uint8_t pressure_rear3_left;
+    uint16_t pressure_rear3_left;
     /* SPN 1098; raw 0 .. 250; physical 0 .. 1250 kPa; scale 5, offset 0; positive: braking */
-    uint8_t pressure_rear3_right;
+    uint16_t pressure_rear3_right;
 } lpvg_can_ebc3_t;
 
 LPVG_NODISCARD lpvg_status_t lpvg_can_ebc3_pack(const lpvg_can_ebc3_t* message, lpvg_can_frame_t* frame);
 LPVG_NODISCARD lpvg_status_t lpvg_can_ebc3_unpack(lpvg_can_ebc3_t* message, const lpvg_can_frame_t* frame);
-uint8_t lpvg_can_ebc3_pressure_front_left_encode(float physical);
-lpvg_can_quality_t lpvg_can_ebc3_pressure_front_left_decode(uint8_t raw, float* physical);
-uint8_t lpvg_can_ebc3_pressure_front_right_encode(float physical);
-lpvg_can_quality_t lpvg_can_ebc3_pressure_front_right_decode(uint8_t raw, float* physical);
-uint8_t lpvg_can_ebc3_pressure_rear1_left_encode(float physical);
-lpvg_can_quality_t lpvg_can_ebc3_pressure_rear1_left_decode(uint8_t raw, float* physical);
-uint8_t lpvg_can_ebc3_pressure_rear1_right_encode(float physical);
-lpvg_can_quality_t lpvg_can_ebc3_pressure_rear1_right_decode(uint8_t raw, float* physical);
-uint8_t lpvg_can_ebc3_pressure_rear2_left_encode(float physical);
-lpvg_can_quality_t lpvg_can_ebc3_pressure_rear2_left_decode(uint8_t raw, float* physical);
-uint8_t lpvg_can_ebc3_pressure_rear2_right_encode(float physical);
-lpvg_can_quality_t lpvg_can_ebc3_pressure_rear2_right_decode(uint8_t raw, float* physical);
-uint8_t lpvg_can_ebc3_pressure_rear3_left_encode(float physical);
-lpvg_can_quality_t lpvg_can_ebc3_pressure_rear3_left_decode(uint8_t raw, float* physical);
-uint8_t lpvg_can_ebc3_pressure_rear3_right_encode(float physical);
-lpvg_can_quality_t lpvg_can_ebc3_pressure_rear3_right_decode(uint8_t raw, float* physical);
+extern const lpvg_can_scale_t lpvg_can_ebc3_pressure_front_left;
+extern const lpvg_can_scale_t lpvg_can_ebc3_pressure_front_right;
+extern const lpvg_can_scale_t lpvg_can_ebc3_pressure_rear1_left;
+extern const lpvg_can_scale_t lpvg_can_ebc3_pressure_rear1_right;
+extern const lpvg_can_scale_t lpvg_can_ebc3_pressure_rear2_left;
+extern const lpvg_can_scale_t lpvg_can_ebc3_pressure_rear2_right;
+extern const lpvg_can_scale_t lpvg_can_ebc3_pressure_rear3_left;
+extern const lpvg_can_scale_t lpvg_can_ebc3_pressure_rear3_right;
 
 /* EBC1: electronic brake controller 1. PGN 61441, 100 ms, no counter, no checksum. */
 #define LPVG_CAN_EBC1_ID (LPVG_CAN_EXTENDED | 0x18F0010Bu)
 #define LPVG_CAN_EBC1_PERIOD_US 100000u
 typedef struct lpvg_can_ebc1_t {
     /* SPN 563; raw 0 .. 1; physical 0 .. 1 no unit; scale 1, offset 0; positive: active; 0 not_active, 1 active, 2 error, 3 not_available */
-    uint8_t abs_active;
+    uint16_t abs_active;
     /* SPN 521; raw 0 .. 250; physical 0 .. 100 %; scale 0.4, offset 0; positive: pressed */
-    uint8_t brake_pedal_position;
+    uint16_t brake_pedal_position;
 } lpvg_can_ebc1_t;
 
 LPVG_NODISCARD lpvg_status_t lpvg_can_ebc1_pack(const lpvg_can_ebc1_t* message, lpvg_can_frame_t* frame);
 LPVG_NODISCARD lpvg_status_t lpvg_can_ebc1_unpack(lpvg_can_ebc1_t* message, const lpvg_can_frame_t* frame);
-uint8_t lpvg_can_ebc1_abs_active_encode(float physical);
-lpvg_can_quality_t lpvg_can_ebc1_abs_active_decode(uint8_t raw, float* physical);
-uint8_t lpvg_can_ebc1_brake_pedal_position_encode(float physical);
-lpvg_can_quality_t lpvg_can_ebc1_brake_pedal_position_decode(uint8_t raw, float* physical);
+extern const lpvg_can_scale_t lpvg_can_ebc1_abs_active;
+extern const lpvg_can_scale_t lpvg_can_ebc1_brake_pedal_position;
 
 /* GUARD_IN: to the guarded controller: what to do, and what the brakes do. PGN 65280, 10 ms, E2E profile 11, data id 0x4C01. */
 #define LPVG_CAN_GUARD_IN_ID (LPVG_CAN_EXTENDED | 0x18FF000Bu)
@@ -171,21 +163,17 @@ typedef struct lpvg_can_guard_in_t {
     /* raw 0 .. 64255; physical -3.92 .. 3.9236279296875 rad/s; scale 0.0001220703125, offset -3.92; positive: left turn */
     uint16_t yaw_rate_command;
     /* raw 0 .. 13; physical 0 .. 13 no unit; scale 1, offset 0; positive: release; control: the demand is wanted; acknowledge: released, and a lock ends; 0 release, 1 control, 2 acknowledge */
-    uint8_t control_request;
+    uint16_t control_request;
     /* raw 0 .. 13; physical 0 .. 13 no unit; scale 1, offset 0; positive: of the strongest other command that the brakes follow now; 0 none, 1 low, 2 medium, 3 high */
-    uint8_t other_priority;
+    uint16_t other_priority;
 } lpvg_can_guard_in_t;
 
 LPVG_NODISCARD lpvg_status_t lpvg_can_guard_in_pack(const lpvg_can_guard_in_t* message, lpvg_can_frame_t* frame);
 LPVG_NODISCARD lpvg_status_t lpvg_can_guard_in_unpack(lpvg_can_guard_in_t* message, const lpvg_can_frame_t* frame);
-uint16_t lpvg_can_guard_in_dp_measured_encode(float physical);
-lpvg_can_quality_t lpvg_can_guard_in_dp_measured_decode(uint16_t raw, float* physical);
-uint16_t lpvg_can_guard_in_yaw_rate_command_encode(float physical);
-lpvg_can_quality_t lpvg_can_guard_in_yaw_rate_command_decode(uint16_t raw, float* physical);
-uint8_t lpvg_can_guard_in_control_request_encode(float physical);
-lpvg_can_quality_t lpvg_can_guard_in_control_request_decode(uint8_t raw, float* physical);
-uint8_t lpvg_can_guard_in_other_priority_encode(float physical);
-lpvg_can_quality_t lpvg_can_guard_in_other_priority_decode(uint8_t raw, float* physical);
+extern const lpvg_can_scale_t lpvg_can_guard_in_dp_measured;
+extern const lpvg_can_scale_t lpvg_can_guard_in_yaw_rate_command;
+extern const lpvg_can_scale_t lpvg_can_guard_in_control_request;
+extern const lpvg_can_scale_t lpvg_can_guard_in_other_priority;
 
 /* GUARD_OUT: from the guarded controller: demand and on-line validity of the model. PGN 65281, 10 ms, E2E profile 11, data id 0x4C02. */
 #define LPVG_CAN_GUARD_OUT_ID (LPVG_CAN_EXTENDED | 0x0CFF01FCu)
@@ -197,29 +185,23 @@ typedef struct lpvg_can_guard_out_t {
     /* raw 0 .. 64255; physical 0 .. 62.7490234375 no unit; scale 0.0009765625, offset 0; positive: statistic of the newest judged frame; above the threshold the model is falsified */
     uint16_t monitor_margin;
     /* raw 0 .. 13; physical 0 .. 13 no unit; scale 1, offset 0; 0 unknown, 1 valid, 2 invalid, 3 not_judged, 4 stale, 5 fault, 6 degraded */
-    uint8_t monitor_verdict;
+    uint16_t monitor_verdict;
     /* raw 0 .. 1; physical 0 .. 1 no unit; scale 1, offset 0; positive: the controller obeys authenticated frames of GUARD_IN only; 0 not_authenticated, 1 authenticated, 2 error, 3 not_available */
-    uint8_t command_authentication;
+    uint16_t command_authentication;
     /* raw 0 .. 13; physical 0 .. 13 no unit; scale 1, offset 0; 0 off, 1 hold, 2 live */
-    uint8_t supervision_state;
+    uint16_t supervision_state;
     /* raw 0 .. 13; physical 0 .. 13 no unit; scale 1, offset 0; 0 released, 1 engaged, 2 locked */
-    uint8_t engagement;
+    uint16_t engagement;
 } lpvg_can_guard_out_t;
 
 LPVG_NODISCARD lpvg_status_t lpvg_can_guard_out_pack(const lpvg_can_guard_out_t* message, lpvg_can_frame_t* frame);
 LPVG_NODISCARD lpvg_status_t lpvg_can_guard_out_unpack(lpvg_can_guard_out_t* message, const lpvg_can_frame_t* frame);
-uint16_t lpvg_can_guard_out_dp_demand_encode(float physical);
-lpvg_can_quality_t lpvg_can_guard_out_dp_demand_decode(uint16_t raw, float* physical);
-uint16_t lpvg_can_guard_out_monitor_margin_encode(float physical);
-lpvg_can_quality_t lpvg_can_guard_out_monitor_margin_decode(uint16_t raw, float* physical);
-uint8_t lpvg_can_guard_out_monitor_verdict_encode(float physical);
-lpvg_can_quality_t lpvg_can_guard_out_monitor_verdict_decode(uint8_t raw, float* physical);
-uint8_t lpvg_can_guard_out_command_authentication_encode(float physical);
-lpvg_can_quality_t lpvg_can_guard_out_command_authentication_decode(uint8_t raw, float* physical);
-uint8_t lpvg_can_guard_out_supervision_state_encode(float physical);
-lpvg_can_quality_t lpvg_can_guard_out_supervision_state_decode(uint8_t raw, float* physical);
-uint8_t lpvg_can_guard_out_engagement_encode(float physical);
-lpvg_can_quality_t lpvg_can_guard_out_engagement_decode(uint8_t raw, float* physical);
+extern const lpvg_can_scale_t lpvg_can_guard_out_dp_demand;
+extern const lpvg_can_scale_t lpvg_can_guard_out_monitor_margin;
+extern const lpvg_can_scale_t lpvg_can_guard_out_monitor_verdict;
+extern const lpvg_can_scale_t lpvg_can_guard_out_command_authentication;
+extern const lpvg_can_scale_t lpvg_can_guard_out_supervision_state;
+extern const lpvg_can_scale_t lpvg_can_guard_out_engagement;
 
 #ifdef __cplusplus
 }

@@ -22,8 +22,8 @@ void lpvg_bus_take(lpvg_bus_signals_t* signals, uint8_t index, const lpvg_can_fr
         float brake_pedal_position;
         float abs_active;
         if (lpvg_can_ebc1_unpack(&message, frame) == lpvg_status_ok) {
-            (void)lpvg_can_ebc1_brake_pedal_position_decode(message.brake_pedal_position, &brake_pedal_position);
-            (void)lpvg_can_ebc1_abs_active_decode(message.abs_active, &abs_active);
+            (void)lpvg_can_decode(&lpvg_can_ebc1_brake_pedal_position, message.brake_pedal_position, &brake_pedal_position);
+            (void)lpvg_can_decode(&lpvg_can_ebc1_abs_active, message.abs_active, &abs_active);
             signals->brake_pedal = brake_pedal_position;
             signals->abs_active = abs_active;
         }
@@ -35,9 +35,9 @@ void lpvg_bus_take(lpvg_bus_signals_t* signals, uint8_t index, const lpvg_can_fr
         float relative_speed_rear1_left;
         float relative_speed_rear1_right;
         if (lpvg_can_ebc2_unpack(&message, frame) == lpvg_status_ok) {
-            (void)lpvg_can_ebc2_front_axle_speed_decode(message.front_axle_speed, &front_axle_speed);
-            (void)lpvg_can_ebc2_relative_speed_rear1_left_decode(message.relative_speed_rear1_left, &relative_speed_rear1_left);
-            (void)lpvg_can_ebc2_relative_speed_rear1_right_decode(message.relative_speed_rear1_right, &relative_speed_rear1_right);
+            (void)lpvg_can_decode(&lpvg_can_ebc2_front_axle_speed, message.front_axle_speed, &front_axle_speed);
+            (void)lpvg_can_decode(&lpvg_can_ebc2_relative_speed_rear1_left, message.relative_speed_rear1_left, &relative_speed_rear1_left);
+            (void)lpvg_can_decode(&lpvg_can_ebc2_relative_speed_rear1_right, message.relative_speed_rear1_right, &relative_speed_rear1_right);
             signals->speed = (lpvg_real_t)front_axle_speed * (lpvg_real_t)0.27777777777777779;
             signals->wheel_difference = (relative_speed_rear1_right - relative_speed_rear1_left) / 3.6f;
         }
@@ -50,10 +50,10 @@ void lpvg_bus_take(lpvg_bus_signals_t* signals, uint8_t index, const lpvg_can_fr
         float control_request;
         float other_priority;
         if (lpvg_can_guard_in_unpack(&message, frame) == lpvg_status_ok) {
-            (void)lpvg_can_guard_in_yaw_rate_command_decode(message.yaw_rate_command, &yaw_rate_command);
-            (void)lpvg_can_guard_in_dp_measured_decode(message.dp_measured, &dp_measured);
-            (void)lpvg_can_guard_in_control_request_decode(message.control_request, &control_request);
-            (void)lpvg_can_guard_in_other_priority_decode(message.other_priority, &other_priority);
+            (void)lpvg_can_decode(&lpvg_can_guard_in_yaw_rate_command, message.yaw_rate_command, &yaw_rate_command);
+            (void)lpvg_can_decode(&lpvg_can_guard_in_dp_measured, message.dp_measured, &dp_measured);
+            (void)lpvg_can_decode(&lpvg_can_guard_in_control_request, message.control_request, &control_request);
+            (void)lpvg_can_decode(&lpvg_can_guard_in_other_priority, message.other_priority, &other_priority);
             signals->reference = (lpvg_real_t)yaw_rate_command;
             signals->measured = dp_measured;
             signals->request = control_request;
@@ -67,9 +67,9 @@ void lpvg_bus_take(lpvg_bus_signals_t* signals, uint8_t index, const lpvg_can_fr
         float steering_wheel_angle;
         float lateral_acceleration;
         if (lpvg_can_vdc2_unpack(&message, frame) == lpvg_status_ok) {
-            (void)lpvg_can_vdc2_yaw_rate_decode(message.yaw_rate, &yaw_rate);
-            (void)lpvg_can_vdc2_steering_wheel_angle_decode(message.steering_wheel_angle, &steering_wheel_angle);
-            (void)lpvg_can_vdc2_lateral_acceleration_decode(message.lateral_acceleration, &lateral_acceleration);
+            (void)lpvg_can_decode(&lpvg_can_vdc2_yaw_rate, message.yaw_rate, &yaw_rate);
+            (void)lpvg_can_decode(&lpvg_can_vdc2_steering_wheel_angle, message.steering_wheel_angle, &steering_wheel_angle);
+            (void)lpvg_can_decode(&lpvg_can_vdc2_lateral_acceleration, message.lateral_acceleration, &lateral_acceleration);
             signals->y[0] = (lpvg_real_t)yaw_rate;
             signals->y[1] = (lpvg_real_t)steering_wheel_angle * (lpvg_real_t)0.050000000000000003;
             signals->yaw_rate = yaw_rate;
@@ -89,12 +89,12 @@ lpvg_status_t lpvg_bus_pack_report(const lpvg_bus_report_t* report, lpvg_can_fra
     if ((report == NULL) || (frame == NULL) || (counter == NULL)) {
         return lpvg_status_bad_argument;
     }
-    message.dp_demand = lpvg_can_guard_out_dp_demand_encode((float)report->demand);
-    message.monitor_margin = lpvg_can_guard_out_monitor_margin_encode((float)report->statistic);
-    message.monitor_verdict = lpvg_can_guard_out_monitor_verdict_encode((float)report->verdict);
-    message.command_authentication = lpvg_can_guard_out_command_authentication_encode((float)report->authenticated);
-    message.supervision_state = lpvg_can_guard_out_supervision_state_encode((float)report->supervision);
-    message.engagement = lpvg_can_guard_out_engagement_encode((float)report->engagement);
+    message.dp_demand = lpvg_can_encode(&lpvg_can_guard_out_dp_demand, (float)report->demand);
+    message.monitor_margin = lpvg_can_encode(&lpvg_can_guard_out_monitor_margin, (float)report->statistic);
+    message.monitor_verdict = lpvg_can_encode(&lpvg_can_guard_out_monitor_verdict, (float)report->verdict);
+    message.command_authentication = lpvg_can_encode(&lpvg_can_guard_out_command_authentication, (float)report->authenticated);
+    message.supervision_state = lpvg_can_encode(&lpvg_can_guard_out_supervision_state, (float)report->supervision);
+    message.engagement = lpvg_can_encode(&lpvg_can_guard_out_engagement, (float)report->engagement);
     status = lpvg_can_guard_out_pack(&message, frame);
     return (status == lpvg_status_ok) ? lpvg_can_e2e_protect(frame, LPVG_CAN_GUARD_OUT_E2E_DATA_ID, counter) : status;
 }

@@ -227,7 +227,9 @@ def take_case(message: Message, signals: list[BusSignal], statements: list[str])
         f"        if ({prefix}_unpack(&message, frame) == lpvg_status_ok) {{",
     ]
     # decode writes NaN where there is no value, and the reader of the number refuses it.
-    lines += [f"            (void){prefix}_{name}_decode(message.{name}, &{name});" for name in names]
+    lines += [
+        f"            (void)lpvg_can_decode(&{prefix}_{name}, message.{name}, &{name});" for name in names
+    ]
     lines += [f"            {statement}" for statement in statements]
     return "\n".join([*lines, "        }", "        break;", "    }", ""])
 
@@ -245,7 +247,7 @@ def _report(message: Message) -> str:
         "    }",
     ]
     lines += [
-        f"    message.{s.name} = {prefix}_{s.name}_encode((float)report->{REPORT[s.name]});"
+        f"    message.{s.name} = lpvg_can_encode(&{prefix}_{s.name}, (float)report->{REPORT[s.name]});"
         for s in message.signals
     ]
     lines += [

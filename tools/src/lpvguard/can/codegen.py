@@ -1,8 +1,8 @@
 """Generates the C codec (C99) and the receiver's rules from the catalogue.
 
 Two files: ``lpvg_can_codec.h`` and ``lpvg_can_codec.c``. Per message they have a struct of raw values,
-``pack`` and ``unpack``. Per signal they have ``encode`` (physical to raw: rounds to nearest, saturates, NaN
-becomes "not available") and ``decode`` (raw to physical with a quality). Bytes are read and written one by
+``pack`` and ``unpack``, and per signal a scale. ``lpvg_can_encode`` and ``lpvg_can_decode`` take a scale.
+Bytes are read and written one by
 one, independent of the processor's byte order. Every shift is of an unsigned value by less than its width.
 The text depends on the catalogue alone.
 """
@@ -69,10 +69,6 @@ def _plain(value: float) -> str:
     return f"{value:.15g}"
 
 
-def _raw_type(signal: BusSignal) -> str:
-    return "uint8_t" if signal.length <= 8 else "uint16_t"
-
-
 def _absent(signal: BusSignal) -> int:
     return (1 << signal.length) - 1 if signal.raw_absent_min is not None else 0
 
@@ -100,9 +96,23 @@ def _header(messages: list[Message], n_received: int) -> str:
 extern "C" {
 #endif
 
-/* Structs hold raw values. physical = scale * raw + offset.
- * encode: rounds to the nearest raw value, saturates at the ends of the range; NaN becomes "not available".
- * decode: writes the physical value and returns good; otherwise writes NaN and returns why there is no value.
+/* Structs hold raw values. Each signal of a message has a scale of the same name. */
+typedef struct lpvg_can_scale_t {
+    float unit_per_step;
+    float offset; /* physical = unit_per_step * raw + offset */
+    float steps_per_unit;
+    uint32_t raw_max;    /* largest raw value that is data */
+    uint32_t error_min;  /* least raw value of an error */
+    uint32_t absent_min; /* least raw value of "not available" */
+    uint16_t absent;     /* what NaN becomes */
+} lpvg_can_scale_t;
+
+/* Nearest raw value, saturated at the ends of the range; NaN becomes "not available". */
+uint16_t lpvg_can_encode(const lpvg_can_scale_t* scale, float physical);
+/* Writes the physical value and returns good; otherwise writes NaN and returns why there is no value. */
+lpvg_can_quality_t lpvg_can_decode(const lpvg_can_scale_t* scale, uint16_t raw, float* physical);
+
+/*
  * pack:   fills id, dlc and data, unused bits 1, E2E header not yet (lpvg_can_e2e_protect); keeps t_us. \
 The raw values are
  *         cut to their width. Returns bad_argument when a pointer is NULL.
@@ -143,17 +153,13 @@ def _message_header(message: Message) -> str:
         lines.append(f"#define {macro}_E2E_DATA_ID 0x{message.e2e.data_id:04X}u\n")
     lines.append(f"typedef struct {name}_t {{\n")
     for s in message.signals:
-        lines += [f"    /* {_describe(s)} */\n", f"    {_raw_type(s)} {s.name};\n"]
+        lines += [f"    /* {_describe(s)} */\n", f"    uint16_t {s.name};\n"]
     lines.append(f"}} {name}_t;\n\n")
     lines.append(
         f"LPVG_NODISCARD lpvg_status_t {name}_pack(const {name}_t* message, lpvg_can_frame_t* frame);\n"
         f"LPVG_NODISCARD lpvg_status_t {name}_unpack({name}_t* message, const lpvg_can_frame_t* frame);\n"
     )
-    for s in message.signals:
-        lines.append(
-            f"{_raw_type(s)} {name}_{s.name}_encode(float physical);\n"
-            f"lpvg_can_quality_t {name}_{s.name}_decode({_raw_type(s)} raw, float* physical);\n"
-        )
+    lines += [f"extern const lpvg_can_scale_t {name}_{s.name};\n" for s in message.signals]
     return "".join(lines)
 
 
@@ -182,40 +188,36 @@ def _source(messages: list[Message]) -> str:
 
 #include <math.h>
 
-/* Nearest raw value of steps, 0 .. raw_max; steps not a number: absent. */
-static uint32_t round_and_saturate(float steps, uint32_t raw_max, uint32_t absent)
+uint16_t lpvg_can_encode(const lpvg_can_scale_t* scale, float physical)
 {{
+    const float steps = (physical - scale->offset) * scale->steps_per_unit;
     if (isnan(steps) != 0) {{
-        return absent;
+        return scale->absent;
     }}
     if (!(steps > 0.0f)) {{
         return 0u;
     }}
-    if (steps >= (float)raw_max) {{
-        return raw_max;
+    if (steps >= (float)scale->raw_max) {{
+        return (uint16_t)scale->raw_max;
     }}
     uint32_t raw = (uint32_t)steps;
     if ((steps - (float)raw) >= 0.5f) {{
         raw += 1u;
     }}
-    return raw;
+    return (uint16_t)raw;
 }}
 
-static lpvg_can_quality_t quality(uint32_t raw, uint32_t raw_max, uint32_t error_min, uint32_t absent_min)
+lpvg_can_quality_t lpvg_can_decode(const lpvg_can_scale_t* scale, uint16_t raw, float* physical)
 {{
-    if (raw <= raw_max) {{
+    *physical = NAN;
+    if (raw <= scale->raw_max) {{
+        *physical = (scale->unit_per_step * (float)raw) + scale->offset;
         return lpvg_can_quality_good;
     }}
-    if (raw >= absent_min) {{
+    if (raw >= scale->absent_min) {{
         return lpvg_can_quality_absent;
     }}
-    return (raw >= error_min) ? lpvg_can_quality_error : lpvg_can_quality_reserved;
-}}
-
-static lpvg_can_quality_t decoded(lpvg_can_quality_t q, float value, float* physical)
-{{
-    *physical = (q == lpvg_can_quality_good) ? value : NAN;
-    return q;
+    return (raw >= scale->error_min) ? lpvg_can_quality_error : lpvg_can_quality_reserved;
 }}
 """
     ]
@@ -282,26 +284,12 @@ lpvg_status_t {name}_unpack({name}_t* message, const lpvg_can_frame_t* frame)
         return lpvg_status_bad_sample;
     }}
 """)
-    lines += [f"    message->{s.name} = ({_raw_type(s)})({_load(s)});\n" for s in message.signals]
+    lines += [f"    message->{s.name} = (uint16_t)({_load(s)});\n" for s in message.signals]
     lines.append("    return lpvg_status_ok;\n}\n")
     for s in message.signals:
-        forward = f"(physical + {_float(-s.offset)})" if s.offset else "physical"
-        forward += f" * {_float(1.0 / s.scale)}" if s.scale != 1.0 else ""
-        quality = f"{s.raw_max}u, {_code(s.raw_error_min)}u, {_code(s.raw_absent_min)}u"
-        inverse = f"{_float(s.scale)} * (float)raw" if s.scale != 1.0 else "(float)raw"
-        if s.offset:
-            inverse = f"({inverse}) {'-' if s.offset < 0 else '+'} {_float(abs(s.offset))}"
-        lines.append(f"""
-{_raw_type(s)} {name}_{s.name}_encode(float physical)
-{{
-    return ({_raw_type(s)})round_and_saturate({forward}, {s.raw_max}u, {_absent(s)}u);
-}}
-
-lpvg_can_quality_t {name}_{s.name}_decode({_raw_type(s)} raw, float* physical)
-{{
-    return decoded(quality(raw, {quality}), {inverse}, physical);
-}}
-""")
+        numbers = [_float(n) for n in (s.scale, s.offset, 1.0 / s.scale)]
+        codes = [f"{c}u" for c in (s.raw_max, _code(s.raw_error_min), _code(s.raw_absent_min), _absent(s))]
+        lines.append(f"const lpvg_can_scale_t {name}_{s.name} = {{{', '.join(numbers + codes)}}};\n")
     return "".join(lines)
 
 

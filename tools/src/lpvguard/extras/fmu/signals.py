@@ -29,7 +29,7 @@ def signals_header(messages: Sequence[Message]) -> str:
         macro = f"LPVG_CAN_{message.name}"
         lines = []
         for signal in message.signals:
-            encoded = f"{prefix}_{signal.name}_encode(static_cast<float>(in[{index}]))"
+            encoded = f"lpvg_can_encode(&{prefix}_{signal.name}, static_cast<float>(in[{index}]))"
             lines.append(f"        message.{signal.name} = {encoded};\n")
             index += 1
         data_id = f"{macro}_E2E_DATA_ID" if message.e2e else "0U"
