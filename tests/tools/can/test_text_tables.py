@@ -92,6 +92,19 @@ FORMS = {
     ),
     "each line in quotes": "t,v,d,note\n"
     + "".join(f'"{line},""a""" \n'.replace(" ", "") for line in text("t,v,d", ",").splitlines()[1:]),
+    "minutes": text("time [min],v,d", ",", lambda t: f"{t / 60:.10f}"),
+    "hours": text("time_h,v,d", ",", lambda t: f"{t / 3600:.12f}"),
+    "no zeros in front": text("elapsed,v,d", ",", lambda t: f"0:0:{t:.3f}"),
+    "days of pandas": text("time,v,d", ",", lambda t: f"1 days 00:00:{t:09.6f}"),
+    "two digits of a year": text("Date Time,v,d", ",", lambda t: f"4/22/26 03:45:{t:06.3f}"),
+    "two digits of a German year": text("Zeit,v,d", ",", lambda t: f"22.04.26 03:45:{t:06.3f}"),
+    "Chinese": text("\u65f6\u95f4(s),v,d", ","),
+    "a minus of typographers": text("t,v,d", ",").replace("-", "\u2212"),
+    "an exponent of Fortran": re.sub(r"([\d.]+)\n", r"\1D+00\n", text("t,v,d", ",")),
+    "decimal commas and a point": re.sub(
+        r"^([\d,]+);", lambda m: m[0].replace(",", "."), text("t;v;d", ";", comma=True), flags=re.M
+    ),
+    "a column of time that is none": text("GPS Time,Time,v,d", ",", lambda t: f"Wed Apr 22 03:45,{t:.3f}"),
     "days of a spreadsheet": text("time,v,d", ",", lambda t: f"{45769 + t / 86400:.12f}"),
     "days of MATLAB": text("time,v,d", ",", lambda t: f"{739000 + t / 86400:.12f}"),
 }
@@ -146,7 +159,9 @@ def test_vectors_of_a_matlab_file_are_read_as_a_table(tmp_path):
 def test_other_encodings_and_suffixes_are_read(tmp_path):
     (tmp_path / "wide.txt").write_bytes(FORMS["tabs"].encode("utf-16"))
     (tmp_path / "bare.csv").write_bytes(FORMS["semicolons and commas"].encode("utf-16-le"))
+    (tmp_path / "big.csv").write_bytes(FORMS["bars"].encode("utf-16-be"))
     assert list(read_log(tmp_path / "bare.csv").series) == ["v", "d"]
+    assert list(read_log(tmp_path / "big.csv").series) == ["v", "d"]
     (tmp_path / "old.tsv").write_bytes(FORMS["tabs"].replace("\td", "\tWinkel [°]").encode("cp1252"))
     assert list(read_log(tmp_path / "wide.txt").series) == ["v", "d"]
     assert list(read_log(tmp_path / "old.tsv").series) == ["v", "Winkel [°]"]
@@ -270,8 +285,16 @@ def test_a_stray_cell_and_a_line_cut_short_are_named(tmp_path):
     with pytest.warns(InputWarning) as warned:
         read = read_log(log)
     said = " ".join(str(w.message) for w in warned)
-    assert "1 line(s) without 3 cells" in said and "column v: 1 cell(s) hold no number" in said
+    assert "1 line(s) without 3 cells" in said and "column v: 1 of 39 cells hold no number" in said
     assert len(read.series["d"].value) == 39 and np.isnan(read.series["v"].value).sum() == 1
+
+
+def test_a_column_with_numbers_and_other_cells_is_named(tmp_path):
+    (tmp_path / "log.csv").write_text(text("t,v,d", ",").replace(",-1.500", ",(1.5)").replace(",0.500", ",?"))
+    with pytest.warns(
+        InputWarning, match=r"column d: 2 of 40 cells hold no number, the first '\(1.5\)' in row 1"
+    ):
+        assert list(read_log(tmp_path / "log.csv").series) == ["v"]
 
 
 RAW = {

@@ -12,17 +12,21 @@ from ..base.errors import InputError, InputWarning
 from .text_tables import STRAY
 
 UNITS_NS = {"s": 10**9, "ms": 10**6, "us": 10**3, "ns": 1}
+_STATED_NS = {**UNITS_NS, "min": 60 * 10**9, "h": 3600 * 10**9}
+"""Units that a name or the log states."""
 _SPELLED = {
     "s": "s sec secs second seconds sek sekunden",
     "ms": "ms msec millis millisecond milliseconds millisekunden",
     "us": "us µs μs usec micros microsecond microseconds mikrosekunden",
     "ns": "ns nsec nanos nanosecond nanoseconds nanosekunden",
+    "min": "min minute minutes minuten",
+    "h": "h hour hours stunden",
 }
 _UNIT_OF = {word: unit for unit, words in _SPELLED.items() for word in words.split()}
 _NAMES = (
-    r"^(t|times?|timestamps?|time_stamp|zeit|ts|zeitstempel|temps|tiempo|tijd|czas|tid)$",
+    r"^(t|times?|timestamps?|time_stamp|zeit|ts|zeitstempel|temps|tiempo|tempo|tijd|czas|tid|时间)$",
     r"(^|_)(times?|timestamps?|stamp|zeit|zeitstempel|epoch|datetime|date_time|datum|uhrzeit|elapsed|t|temps|"
-    r"tiempo|tijd|czas)(_|$)",
+    r"tiempo|tempo|tijd|czas|时间)(_|$)",
 )
 _SECONDS, _NANOSECONDS = r"(^|_)(secs?|seconds)$", r"(^|_)(nsecs?|nanosecs?|nanoseconds)$"
 _EPOCH_S = (9.0e8, 4.0e9)
@@ -39,14 +43,14 @@ _BACK = 0.2
 _MONTHS = ("jan", "feb", "m[aä]r", "apr", "ma[iy]", "jun", "jul", "aug", "sep", "o[ck]t", "nov", "de[cz]")
 _DATE = (
     r"(?P<y>\d{4})([-/.]?)(?P<m>\d{2})\2(?P<d>\d{2})|"
-    r"(?P<d2>\d{1,2})[-/. ](?P<m2>\d{1,2}|[^\W\d]{3,9})[-/. ](?P<y2>\d{4})"
+    r"(?P<d2>\d{1,2})[-/. ](?P<m2>\d{1,2}|[^\W\d]{3,9})[-/. ](?P<y2>(?:20)?\d{2})"
 )
 _CLOCK = r"(?P<h>\d{1,2})(?P<by>[:-]?)(?P<min>\d{2})(?P=by)(?P<s>\d{2})(?:[.,:-](?P<rest>\d+))?"
 _DATE_ONLY = re.compile(_DATE)
 _DATE_AND_CLOCK = re.compile(
     rf"(?:{_DATE})[T _-]+{_CLOCK}\s*(?P<half>[AP]M)?\s*(?P<zone>Z|UTC|[+-]\d{{2}}:?\d{{2}})?", re.IGNORECASE
 )
-_TIME_OF_DAY = re.compile(r"(\d{1,2}):(\d{2}):(\d{2})(?:[.,:](\d+))?")
+_TIME_OF_DAY = re.compile(r"(?:(\d+) days?,? )?(\d{1,2}):(\d{1,2}):(\d{1,2})(?:[.,:](\d+))?")
 _ELAPSED = re.compile(r"(\d{1,3}):(\d{2})[.,](\d+)")
 """Minutes, seconds and parts of a second."""
 
@@ -93,13 +97,13 @@ def time_of(
     made = _since_1970(t, path, column) or _of_clock(t, path, column)
     t, unit = made or (t, _stated(column, units) or _by_shape(t, path, column))
     with np.errstate(invalid="ignore"):
-        bad = ~(np.abs(t) <= _LATEST_S * 1e9 / UNITS_NS[unit])
+        bad = ~(np.abs(t) <= _LATEST_S * 1e9 / _STATED_NS[unit])
     keep = _usable(bad, t, path, column, first_line)
     kind = table.schema.field(column).type
     if pa.types.is_integer(kind) and made is None:
-        t_ns = table.column(column).filter(keep).cast(pa.int64()).to_numpy() * UNITS_NS[unit]
+        t_ns = table.column(column).filter(keep).cast(pa.int64()).to_numpy() * _STATED_NS[unit]
     else:
-        t_ns = np.rint(t[keep] * UNITS_NS[unit]).astype(np.int64)
+        t_ns = np.rint(t[keep] * _STATED_NS[unit]).astype(np.int64)
     return _growing(t_ns, path, column), keep, {column}
 
 
@@ -198,7 +202,7 @@ def _plain(table: pa.Table, column: str) -> np.ndarray:
 def _low(name: str) -> str:
     """A name without brackets, in lower case, its words joined by _."""
     plain = re.sub(r"[\[({].*?[\])}]", "", name)
-    return re.sub(r"[^a-z0-9]+", "_", re.sub(r"([a-z])([A-Z])", r"\1_\2", plain).lower()).strip("_")
+    return re.sub(r"[\W_]+", "_", re.sub(r"([a-z])([A-Z])", r"\1_\2", plain).lower()).strip("_")
 
 
 def _pair(names: list[str]) -> tuple[str, str] | None:
@@ -219,11 +223,22 @@ def _by_name(table: pa.Table) -> str | None:
     without_unit = {n: "_".join(w for w in _low(n).split("_") if w not in _UNIT_OF) for n in names}
     for pattern in _NAMES:
         matches = [n for n in names if re.search(pattern, without_unit[n])]
-        grows = [n for n in matches if _is_text(table, n) or _grows(_plain(table, n))]
+        grows = [n for n in matches if _tells_time(table, n) or _grows(_plain(table, n))]
         if matches:
             return (grows or matches)[0]
     bare = [n for n in names if _low(n) in (*_UNIT_OF, "interval", "gmt", "utc")]
     return next((n for n in bare if _grows(_plain(table, n))), None)
+
+
+def _tells_time(table: pa.Table, name: str) -> bool:
+    """Return whether the first text of a column is a time or a date."""
+    first = (
+        next((t.strip() for t in table.column(name).to_pylist() if t), "") if _is_text(table, name) else ""
+    )
+    try:
+        return _DATE_ONLY.fullmatch(first) is not None or _parsed(first) is not None
+    except ValueError:
+        return False
 
 
 def _is_text(table: pa.Table, name: str) -> bool:
@@ -297,7 +312,8 @@ def _parsed(text: str) -> tuple[int, bool]:
     """Time [ns] of a text, without a zone as if in UTC, and whether it is one of day; ValueError for none."""
     text = text.strip()
     if match := _TIME_OF_DAY.fullmatch(text):
-        return _clock_ns(*match.groups()), True
+        days, *clock = match.groups()
+        return int(days or 0) * 86_400 * 10**9 + _clock_ns(*clock), days is None
     if match := _ELAPSED.fullmatch(text):
         minutes, seconds, rest = match.groups()
         return int(minutes) * 60 * 10**9 + _clock_ns("0", "0", seconds, rest), False
@@ -318,7 +334,8 @@ def _parsed(text: str) -> tuple[int, bool]:
 
 def _iso_date(part: Mapping[str, str | None]) -> str:
     """The date of a text in ISO 8601; of 04/22/2026 the month is the part that may be one."""
-    year, month, day = part["y"] or part["y2"], part["m"] or part["m2"] or "", part["d"] or part["d2"]
+    year = f"20{part['y'] or part['y2']}"[-4:]
+    month, day = part["m"] or part["m2"] or "", part["d"] or part["d2"]
     if not month.isdigit():
         month = next((str(k) for k, name in enumerate(_MONTHS, 1) if re.match(name, month.lower())), "")
     if month.isdigit() and int(month) > 12:
