@@ -181,7 +181,7 @@ def test_packed_tables_are_read(tmp_path, suffix):
         read_log(log)
 
 
-def test_a_log_alone_in_an_archive_is_read(tmp_path):
+def test_the_logs_in_an_archive_are_read(tmp_path):
     log = tmp_path / "drive.zip"
     with zipfile.ZipFile(log, "w") as archive:
         archive.writestr("logs/one.csv", FORMS["tabs"])
@@ -190,6 +190,16 @@ def test_a_log_alone_in_an_archive_is_read(tmp_path):
         archive.writestr("logs/two.csv", FORMS["tabs"])
     with pytest.raises(InputError, match=r"holds 2 files \(logs/one.csv, logs/two.csv\); expected one log"):
         read_log(log)
+    for named in (log, tmp_path):
+        inside = logs_among([named])
+        assert [stem(p) for p in inside] == ["one", "two"] and inside[0].parent.parent.name == "drive.zip"
+        assert list(read_log(inside[1]).series) == ["v", "d"]
+    with zipfile.ZipFile(tmp_path / "binary.zip", "w") as archive:
+        archive.writestr("table.mat", b"")
+    assert [p.name for p in logs_among([tmp_path / "binary.zip"])] == ["table.mat"]
+    log.write_bytes(log.read_bytes()[:-30])
+    with pytest.raises(InputError, match=r"drive.zip: cannot be read \(.*\); expected a whole .zip"):
+        logs_among([log])
 
 
 VBO = """File created on 12/05/2024 at 12:59:30
