@@ -8,6 +8,8 @@ import re
 import zipfile
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pa_parquet
 import pytest
 from scipy.io import savemat
 
@@ -149,6 +151,16 @@ def test_steps_are_no_times(tmp_path, step):
         read_log(tmp_path / "log.csv")
 
 
+@pytest.mark.parametrize("kind", [pa.timestamp("us"), pa.timestamp("ns", "UTC"), pa.duration("ms")])
+def test_times_of_a_parquet_table_are_read(tmp_path, kind):
+    t, v, _ = zip(*ROWS, strict=True)
+    unit = {"us": 1e6, "ns": 1e9, "ms": 1e3}[kind.unit]
+    table = pa.table({"v": v, "time": pa.array([round(x * unit) for x in t], pa.int64()).cast(kind)})
+    pa_parquet.write_table(table, tmp_path / "log.parquet")
+    series = read_log(tmp_path / "log.parquet").series["v"]
+    np.testing.assert_allclose(series.t_ns / 1e9, t, atol=1e-9)
+
+
 def test_vectors_of_a_matlab_file_are_read_as_a_table(tmp_path):
     t, v, d = np.array(ROWS).T
     savemat(tmp_path / "log.mat", {"Time_ms": 1000 * t, "v": v, "d": d, "car": "mine"})
@@ -250,6 +262,18 @@ SIGNAL_A_ROW = {
     ),
     "drive.jsonl": "".join(json.dumps({"t": t, "v": v, "in": {"x": 1}, "d": d}) + "\n" for t, v, d in ROWS),
     "list.json": json.dumps([{"time": t, "v": v, "d": d, "ok": True} for t, v, d in ROWS]),
+    "lists.json": json.dumps(
+        dict(zip(("time", "v", "d"), zip(*ROWS, strict=True), strict=True)) | {"car": "x"}
+    ),
+    "inside.json": json.dumps({"car": "x", "data": [{"time": t, "v": v, "d": d} for t, v, d in ROWS]}),
+    "influx.csv": "#group,false,false\n#datatype,string,dateTime:RFC3339\n#default,,\n"
+    ",result,_time,_value,_field\n"
+    + "".join(
+        f",,2023-11-14T22:13:{20 + t:06.3f}Z,{x},{n}\n"
+        for k, n in ((1, "v"), (2, "d"))
+        for t, *_ in ROWS
+        for x in (ROWS[round(50 * t)][k],)
+    ),
 }
 
 
@@ -329,6 +353,20 @@ RAW = {
     "bytes of Python": "time,id,data\n0.001,27E,b'\\n\\xff'\n0.021,18FEF100,bytearray(b'\\x01\\x02\\x03')\n",
     "ZLG": "Index,Time Stamp,Channel,ID,Format,Len,Data\n"
     "0,0.001,ch1,0x0000027E,Standard,2,x| 0A FF\n1,0.021,ch1,0x18FEF100,Extend,3,x| 01 02 03\n",
+    "CL2000": '# Value separator: ";"\nTimestamp;Type;ID;Data\n20231114T221320001;0;27E;0AFF\n'
+    "20231114T221320021;1;18FEF100;010203\n",
+    "CL1000": '# Value separator: ";"\nTimestamp;Type;ID;Data\n01T000000001;0;27E;0AFF\n'
+    "01T000000021;1;18FEF100;010203\n",
+    "IXXAT": "ASCII Trace IXXAT Automation GmbH  Version: 1.3\nDate: 22.4.2026\n"
+    '"Time","Identifier (hex)","Format","Flags","Data (hex)"\n'
+    '"00:00:00.001","27E","Std","","0A FF "\n"00:00:00.021","18FEF100","Ext","","01 02 03 "\n',
+    "PCAN-Explorer": "Time (ms),Direction,ID (hex),DLC,Data (hex)\n"
+    "1,Rx,27E,2,0A FF\n21,Rx,18FEF100,3,01 02 03\n",
+    "CANalyzer": "Time;Chn;ID;Dir;Type;DLC;D0;D1;D2\n"
+    "0.001;1;27E;Rx;d;2;0A;FF;\n0.021;1;18FEF100x;Rx;d;3;01;02;03\n",
+    "milliseconds of a board": "timestamp_ms,id,ext,len,b0,b1,b2\n"
+    "1,27E,0,2,0A,FF,\n21,18FEF100,1,3,01,02,03\n",
+    "nanoseconds": "timestamp_ns,can_id,data\n1000000,0x27e,0A FF\n21000000,0x18fef100,01 02 03\n",
     "strym": "Time,Bus,MessageID,Message,MessageLength\n0.001,0,638,0aff,2\n0.021,0,419361024,010203,3\n",
 }
 
@@ -338,7 +376,9 @@ def test_raw_frames_as_a_table_are_read(tmp_path, form):
     (tmp_path / "log.csv").write_text(RAW[form])
     log = read_log(tmp_path / "log.csv")
     assert isinstance(log, Frames)
-    assert log.t_ns.tolist() == [10**6, 21 * 10**6] and log.length.tolist() == [2, 3]
+    assert np.diff(log.t_ns).tolist() == pytest.approx([20e6], abs=300)
+    assert log.t_ns[0] == 10**6 or "T" in RAW[form].splitlines()[-1]
+    assert log.length.tolist() == [2, 3]
     assert log.id.tolist() == [0x27E, 0x98FEF100]
     assert log.data[:, :3].tolist() == [[0x0A, 0xFF, 0], [1, 2, 3]]
 

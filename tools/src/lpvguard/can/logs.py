@@ -316,6 +316,8 @@ def candump_frames(text: np.ndarray) -> Frames:
     -------
     Frames
     """
+    if b"\x1b[" in text[:_HEAD].tobytes():
+        text = np.frombuffer(_COLOUR.sub(b"", text.tobytes()), np.uint8)
     if _SCREEN.search(text[:_HEAD].tobytes()):
         text = np.frombuffer(_SCREEN.sub(_as_logged, text.tobytes()), np.uint8)
     return _parse_candump(text)
@@ -327,6 +329,8 @@ _BACKWARDS = 0.2
 """At most this share of the times of a log is before the one above."""
 _HEAD = 1 << 16
 """Number of bytes at the start of a log that show its form."""
+_COLOUR = re.compile(rb"\x1b\[[0-9;]*m")
+"""Colours of candump -c."""
 _SCREEN = re.compile(
     rb"^ *(\((?:[0-9]{1,10}|[0-9]{4}-[0-9]{2}-[0-9]{2} [0-9:]{8})\.[0-9]{1,9}\)) +"
     rb"(\S{1,15}) +(?:[RT]X [-B] [-E] +)?"

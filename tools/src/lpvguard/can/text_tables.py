@@ -24,7 +24,7 @@ _BYTE = re.compile(r"(d|data|b|byte)_?\d", re.IGNORECASE)
 """The last column of a table of raw frames with a column a byte."""
 _LOOKED_AT = 60
 """Lines at the start of a file that show its form."""
-_COMMENT = re.compile(r"^\s*(#(?!\w*,)|//|%\s|!)")
+_COMMENT = re.compile(r"^\s*(#(?!\w*,)|#(group|datatype|default),|//|%\s|!)")
 _NUMBER = re.compile(r"\s*[-+]?(\d+([.,]\d*)?|[.,]\d+)([eE][-+]?\d+)?\s*")
 _WITH_UNIT = r"^\s*(?P<number>[-+]?[\d.,]+(?:[eE][-+]?\d+)?)\s*(?P<unit>[^\s\d.,+-][^\d]*)$"
 """A cell of a number and its unit, as 12.5 km/h."""

@@ -45,7 +45,9 @@ _DATE = (
     r"(?P<y>\d{4})([-/.]?)(?P<m>\d{2})\2(?P<d>\d{2})|"
     r"(?P<d2>\d{1,2})[-/. ](?P<m2>\d{1,2}|[^\W\d]{3,9})[-/. ](?P<y2>(?:20)?\d{2})"
 )
-_CLOCK = r"(?P<h>\d{1,2})(?P<by>[:-]?)(?P<min>\d{2})(?P=by)(?P<s>\d{2})(?:[.,:-](?P<rest>\d+))?"
+_CLOCK = (
+    r"(?P<h>\d{1,2})(?P<by>[:-]?)(?P<min>\d{2})(?P=by)(?P<s>\d{2})(?:(?:[.,:-]|(?<=\d{6}))(?P<rest>\d+))?"
+)
 _DATE_ONLY = re.compile(_DATE)
 _DATE_AND_CLOCK = re.compile(
     rf"(?:{_DATE})[T _-]+{_CLOCK}\s*(?P<half>[AP]M)?\s*(?P<zone>Z|UTC|[+-]\d{{2}}:?\d{{2}})?", re.IGNORECASE
@@ -53,6 +55,8 @@ _DATE_AND_CLOCK = re.compile(
 _TIME_OF_DAY = re.compile(r"(?:(\d+) days?,? )?(\d{1,2}):(\d{1,2}):(\d{1,2})(?:[.,:](\d+))?")
 _ELAPSED = re.compile(r"(\d{1,3}):(\d{2})[.,](\d+)")
 """Minutes, seconds and parts of a second."""
+_OF_LOGGER = re.compile(r"(?:\d{2})?(\d{2})?T(\d{2})(\d{2})(\d{2})(\d+)")
+"""Month, day, and the digits of a clock to ms, as a logger of CSS writes them."""
 
 
 def time_of(
@@ -80,6 +84,10 @@ def time_of(
             "`rate_hz` in the signal map); there are " + ", ".join(names),
         )
     values = table.column(column)
+    if pa.types.is_duration(values.type):
+        whole = values.cast(pa.duration("ns")).cast(pa.int64())
+        table = table.set_column(names.index(column), column, whole)
+        values, units = table.column(column), {**units, column: "ns"}
     if pa.types.is_timestamp(values.type) or pa.types.is_time(values.type):
         values = values.cast(pa.string())
     if pa.types.is_string(values.type) or pa.types.is_large_string(values.type):
@@ -90,12 +98,12 @@ def time_of(
                 texts = [
                     f"{day} {time}" for day, time in zip(texts, table.column(clock).to_pylist(), strict=True)
                 ]
-        t_ns, bad = _of_text(texts)
+        t_ns, bad = times_of_texts(texts)
         keep = _usable(bad, texts, path, column, first_line)
         return _growing(t_ns[keep], path, column), keep, {column, clock or column}
     t = _plain(table, column)
     made = _since_1970(t, path, column) or _of_clock(t, path, column)
-    t, unit = made or (t, _stated(column, units) or _by_shape(t, path, column))
+    t, unit = made or (t, unit_of_time(column, units) or _by_shape(t, path, column))
     with np.errstate(invalid="ignore"):
         bad = ~(np.abs(t) <= _LATEST_S * 1e9 / _STATED_NS[unit])
     keep = _usable(bad, t, path, column, first_line)
@@ -231,10 +239,11 @@ def _by_name(table: pa.Table) -> str | None:
 
 
 def _tells_time(table: pa.Table, name: str) -> bool:
-    """Return whether the first text of a column is a time or a date."""
-    first = (
-        next((t.strip() for t in table.column(name).to_pylist() if t), "") if _is_text(table, name) else ""
-    )
+    """Return whether a column is of times, or its first text is a time or a date."""
+    kind = table.schema.field(name).type
+    if pa.types.is_temporal(kind) or not _is_text(table, name):
+        return pa.types.is_temporal(kind)
+    first = next((text.strip() for text in table.column(name).to_pylist() if text), "")
     try:
         return _DATE_ONLY.fullmatch(first) is not None or _parsed(first) is not None
     except ValueError:
@@ -251,8 +260,18 @@ def _grows(t: np.ndarray) -> bool:
     return len(step) > 0 and bool(np.mean(step >= 0) > 0.9 and step.max() > 0)
 
 
-def _stated(name: str, units: Mapping[str, str]) -> str | None:
-    """The unit that the log or the name states: in brackets, or as the last word."""
+def unit_of_time(name: str, units: Mapping[str, str]) -> str | None:
+    """Find the unit of times that the log or the name states: in brackets, or as the last word.
+
+    Parameters
+    ----------
+    name : str
+    units : Mapping[str, str], unit by name, where the log states one
+
+    Returns
+    -------
+    str or None
+    """
     texts = [units.get(name, ""), *re.findall(r"[\[({](.*?)[\])}]", name)]
     for text in texts:
         if unit := _UNIT_OF.get(text.strip().lower()):
@@ -290,9 +309,17 @@ def _by_shape(t: np.ndarray, path: Path, column: str) -> str:
     return unit
 
 
-def _of_text(texts: list[str | None]) -> tuple[np.ndarray, np.ndarray]:
-    """Times [ns] of dates with time of day, or of times of day, of which midnight begins another day; and
-    which rows (N,) bool hold none."""
+def times_of_texts(texts: list[str | None]) -> tuple[np.ndarray, np.ndarray]:
+    """Read dates with time of day, or times of day, of which midnight begins another day.
+
+    Parameters
+    ----------
+    texts : list of str or None
+
+    Returns
+    -------
+    tuple of times (N,) [ns] and of which (N,) bool are none
+    """
     times, bad = np.zeros(len(texts), np.int64), np.zeros(len(texts), bool)
     day, before = 0, -1
     for row, text in enumerate(texts):
@@ -312,6 +339,9 @@ def _parsed(text: str) -> tuple[int, bool]:
     """Time [ns] of a text, without a zone as if in UTC, and whether it is one of day; ValueError for none."""
     text = text.strip()
     if match := _TIME_OF_DAY.fullmatch(text):
+        days, *clock = match.groups()
+        return int(days or 0) * 86_400 * 10**9 + _clock_ns(*clock), days is None
+    if match := _OF_LOGGER.fullmatch(text):
         days, *clock = match.groups()
         return int(days or 0) * 86_400 * 10**9 + _clock_ns(*clock), days is None
     if match := _ELAPSED.fullmatch(text):
