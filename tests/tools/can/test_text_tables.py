@@ -103,6 +103,8 @@ FORMS = {
     "Chinese": text("\u65f6\u95f4(s),v,d", ","),
     "a minus of typographers": text("t,v,d", ",").replace("-", "\u2212"),
     "an exponent of Fortran": re.sub(r"([\d.]+)\n", r"\1D+00\n", text("t,v,d", ",")),
+    "quotes and brackets": re.sub(r"([\d.]+),([-\d.]+)\n", r"""="\1",[\2]\n""", text("t,v,d", ",")),
+    "a zone of letters": text("time,v,d", ",", lambda t: f"2026-04-22 03:45:{t:06.3f} CEST"),
     "decimal commas and a point": re.sub(
         r"^([\d,]+);", lambda m: m[0].replace(",", "."), text("t;v;d", ";", comma=True), flags=re.M
     ),

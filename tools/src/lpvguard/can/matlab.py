@@ -77,7 +77,8 @@ def _vectors(content: bytes) -> dict[str, np.ndarray] | None:
     order = {b"IM": "<", b"MI": ">"}.get(content[126:128])
     if order is None or 0 in content[:4] or int(np.frombuffer(content, order + "u2", 1, 124)[0]) >> 8 != 1:
         return None
-    vectors, at = {}, 128
+    vectors: dict[str, np.ndarray] = {}
+    at = 128
     while at < len(content):
         kind, start, size = _tag(content, at, order)
         element, room = content[start : start + size], size
@@ -153,7 +154,7 @@ def _of_structure(name: str, element: bytes, at: int, order: str, depth: int) ->
     step = int(np.frombuffer(width, order + "i4", 1)[0])
     if step < 1:
         raise ValueError(f"names of {step} letters")
-    vectors = {}
+    vectors: dict[str, np.ndarray] = {}
     for k in range(0, len(fields), step):
         kind, start, size = _tag(element, at, order)
         if kind != _MATRIX or start + size > len(element):

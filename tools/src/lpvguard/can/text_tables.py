@@ -30,6 +30,11 @@ _WITH_UNIT = r"^\s*(?P<number>[-+]?[\d.,]+(?:[eE][-+]?\d+)?)\s*(?P<unit>[^\s\d.,
 """A cell of a number and its unit, as 12.5 km/h."""
 _GROUPED = r"^[-+]?[1-9]\d{0,2}(?:%s\d{3})+(?:%s\d*)?$"
 """A number whose thousands are set apart, by which sign, and its decimal mark."""
+_MARKED_NUMBERS = (
+    (r"([\d.])[dD]([-+]?\d+)$", r"\1e\2"),
+    (r"""^=?["'\[]+\s*([-+.\deE]+)\s*["'\]]+$""", r"\1"),
+)
+"""Numbers with an exponent of Fortran, and in further quotes or brackets, and the same without."""
 _MOST_ROWS_OF_WORDS = 4
 """Rows below a header that may state units, sources and rates."""
 _MISSING = ("", "NA", "N/A", "NaN", "nan", "NAN", "null", "NULL", "None", "-", "--", "-nan", "#N/A", "n/a")
@@ -276,8 +281,8 @@ def _numbers(trimmed: pa.StringArray, has_unit: bool, comma: bool, path: Path, n
     if has_unit:
         trimmed = pc.replace_substring_regex(trimmed, r"\s*[^\s\d.,+-][^\d]*$", "")
     plain = _ungrouped(trimmed, comma)
-    for exponent in (None, r"([\d.])[dD]([-+]?\d+)$"):  # as Fortran writes it
-        plain = pc.replace_substring_regex(plain, exponent, r"\1e\2") if exponent else plain
+    for mark, number in (("", ""), *_MARKED_NUMBERS):
+        plain = pc.replace_substring_regex(plain, mark, number) if mark else plain
         try:
             return pc.cast(plain, pa.float64())
         except pa.ArrowInvalid:

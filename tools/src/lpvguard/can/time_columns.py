@@ -50,7 +50,8 @@ _CLOCK = (
 )
 _DATE_ONLY = re.compile(_DATE)
 _DATE_AND_CLOCK = re.compile(
-    rf"(?:{_DATE})[T _-]+{_CLOCK}\s*(?P<half>[AP]M)?\s*(?P<zone>Z|UTC|[+-]\d{{2}}:?\d{{2}})?", re.IGNORECASE
+    rf"(?:{_DATE})[T _-]+{_CLOCK}\s*(?P<half>[AP]M)?\s*(?P<zone>[A-Z]{{1,5}}|[+-]\d{{2}}:?\d{{2}})?",
+    re.IGNORECASE,
 )
 _TIME_OF_DAY = re.compile(r"(?:(\d+) days?,? )?(\d{1,2}):(\d{1,2}):(\d{1,2})(?:[.,:](\d+))?")
 _ELAPSED = re.compile(r"(\d{1,3}):(\d{2})[.,](\d+)")
