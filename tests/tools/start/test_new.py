@@ -520,6 +520,14 @@ def test_magnitudes_without_any_sign_are_refused_unless_they_are_named(folded):
         proposed([backwards], {}, Known("car", 2.7))
 
 
+def test_a_command_in_place_of_a_measurement_is_named():
+    t = np.arange(0.0, 60.0, 0.1)
+    delta = 0.02 * np.sin(0.5 * t)
+    values = {"speed_mps": 10 + np.sin(0.1 * t), "steering_cmd_rad": delta, "yaw_rate_radps": 4 * delta}
+    made = proposed([Recording("a", t, values, {})], {}, Known("car", 2.7))
+    assert "by its name, which says a command and no measurement" in made["input"].why
+
+
 @pytest.mark.parametrize("held", [True, False])
 def test_the_rate_is_that_of_the_signals_and_not_of_the_table_they_are_merged_in(tmp_path, held):
     """Topics of 25 Hz in a table of 200 Hz, which repeats their values or leaves cells empty."""

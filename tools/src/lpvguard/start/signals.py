@@ -353,4 +353,6 @@ def _named(
         what = f"{still[0]} never moves" if still else f"no name looks like the {role}"
         raise InputError("new", option, what, f"{option} NAME, one of {_some(moving or common)}")
     others = f"; others: {', '.join(candidates[1:4])}" if candidates[1:] else ""
-    return candidates[0], [f"by its name{others}"]
+    asked_for = REQUEST.search(split_name(candidates[0])[1].lower())
+    command = ", which says a command and no measurement" if asked_for else ""
+    return candidates[0], [f"by its name{command}{others}"]

@@ -98,7 +98,7 @@ NO_MEASUREMENT = re.compile(
     _any(
         r"checksum crc counter cnt qf$ qbit valid status (^|_)sta(_|$) stat$ fault error button "
         r"icon mode units?$ sign(?!al) lamp force _rq offse?t direction (^|_)vz(_|$) limit diag "
-        r"init group bias rate_?v$ speed_?v$ ack$ pressed reboot reduced"
+        r"init group bias rate_?v$ speed_?v$ ack$ pressed reboot reduced dtcs?$"
     )
 )
 """In names of what tells of a measurement, and is none."""
