@@ -41,6 +41,14 @@ def test_a_message_without_a_length_costs_itself():
     assert [m.name for m in database.messages] == ["SPEED"] and "BO_ 5 SHORT" in said[0]
 
 
+@pytest.mark.parametrize("head", ["B0_ 427 LOST: 8 A", "427 LOST : 8 A"])
+def test_signals_behind_a_wrong_head_go_to_no_other_message(head):
+    lost = f'{head}\n SG_ X : 0|8@1+ (1,0) [0|1] "" A\n'
+    database, said = read_sound_lines(HEAD + SPEED + lost + SPEED.replace("253 SPEED", "254 AGAIN"))
+    assert {m.name: len(m.signals) for m in database.messages} == {"SPEED": 2, "AGAIN": 2}
+    assert [text.split(": ")[2][:6].strip() for text in said] == [head[:6].strip(), "SG_ X"]
+
+
 def test_the_range_of_a_signed_signal_is_taken_before_its_type(tmp_path):
     angle = ' SG_ ANGLE : 0|16@1+ (0.1,0) [-3276.8|3276.7] "deg" A\n'
     (tmp_path / "car.dbc").write_text(HEAD + "BO_ 37 STEER: 8 A\n" + angle)

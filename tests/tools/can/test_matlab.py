@@ -1,5 +1,6 @@
 """MATLAB's files as tables: what is read, and what is refused before scipy looks at it."""
 
+import contextlib
 import struct
 import zlib
 from pathlib import Path
@@ -80,6 +81,26 @@ def test_vectors_of_numbers_are_columns_and_all_else_is_left_out(options, tmp_pa
     savemat(tmp_path / "a.mat", columns | others, **options)
     table = read_matlab(tmp_path / "a.mat")
     assert table.to_pydict() == {name: list(range(5)) for name in columns}
+
+
+def test_vectors_in_structures_are_columns(tmp_path):
+    t = np.arange(5.0)
+    of_simulink = {"time": t, "signals": {"values": 2 * t, "label": "v"}}
+    inside = {"yaw": 3 * t, "name": "car", "sides": [1.0, 2.0], "none": np.zeros((0, 0))}
+    for compressed in (False, True):
+        variables = {"speed": of_simulink, "log": {"vehicle": inside}, "long": np.arange(2e4).reshape(2, -1)}
+        savemat(tmp_path / "a.mat", variables, do_compression=compressed)
+        table = read_matlab(tmp_path / "a.mat")
+        read = {n: np.array(column).tolist() for n, column in table.to_pydict().items()}
+        assert read.pop("log.vehicle.yaw") == [0, 3, 6, 9, 12]
+        assert read == {"speed.time": [0, 1, 2, 3, 4], "speed": [0, 2, 4, 6, 8]}
+    savemat(tmp_path / "a.mat", {"log": {"yaw": t}})
+    whole = (tmp_path / "a.mat").read_bytes()
+    for at in range(128, len(whole), 2):  # each is read, or refused
+        for byte in (7, 255):
+            (tmp_path / "b.mat").write_bytes(whole[:at] + bytes([byte]) + whole[at + 1 :])
+            with contextlib.suppress(InputError):
+                read_matlab(tmp_path / "b.mat")
 
 
 DAMAGED = {

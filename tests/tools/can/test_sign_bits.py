@@ -14,12 +14,13 @@ from lpvguard.start.new_project import new
 from steered_car import write_logs
 
 
-def test_a_column_of_a_table_gets_the_sign_of_the_column_beside_it(tmp_path):
+@pytest.mark.parametrize("angle", ["angle", "angle_deg"])
+def test_a_column_of_a_table_gets_the_sign_of_the_column_beside_it(tmp_path, angle):
     rows = "".join(f"{0.02 * k:.2f},{k % 7},{k % 3 == 0:d},{k % 5}\n" for k in range(30))
-    (tmp_path / "log.csv").write_text("t,angle,angle_sign,other_sign\n" + rows)
-    with pytest.warns(InputWarning, match="column angle holds no sign and gets that of angle_sign"):
+    (tmp_path / "log.csv").write_text(f"t,{angle},angle_sign,other_sign\n" + rows)
+    with pytest.warns(InputWarning, match=f"column {angle} holds no sign and gets that of angle_sign"):
         series = read_log(tmp_path / "log.csv").series
-    assert series["angle"].value[:4].tolist() == [0.0, 1.0, 2.0, -3.0]
+    assert series[angle].value[:4].tolist() == [0.0, 1.0, 2.0, -3.0]
 
 
 DBC = """VERSION ""

@@ -8,6 +8,8 @@ import re
 import zipfile
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pa_parquet
 import pytest
 from scipy.io import savemat
 
@@ -92,6 +94,21 @@ FORMS = {
     ),
     "each line in quotes": "t,v,d,note\n"
     + "".join(f'"{line},""a""" \n'.replace(" ", "") for line in text("t,v,d", ",").splitlines()[1:]),
+    "minutes": text("time [min],v,d", ",", lambda t: f"{t / 60:.10f}"),
+    "hours": text("time_h,v,d", ",", lambda t: f"{t / 3600:.12f}"),
+    "no zeros in front": text("elapsed,v,d", ",", lambda t: f"0:0:{t:.3f}"),
+    "days of pandas": text("time,v,d", ",", lambda t: f"1 days 00:00:{t:09.6f}"),
+    "two digits of a year": text("Date Time,v,d", ",", lambda t: f"4/22/26 03:45:{t:06.3f}"),
+    "two digits of a German year": text("Zeit,v,d", ",", lambda t: f"22.04.26 03:45:{t:06.3f}"),
+    "Chinese": text("\u65f6\u95f4(s),v,d", ","),
+    "a minus of typographers": text("t,v,d", ",").replace("-", "\u2212"),
+    "an exponent of Fortran": re.sub(r"([\d.]+)\n", r"\1D+00\n", text("t,v,d", ",")),
+    "quotes and brackets": re.sub(r"([\d.]+),([-\d.]+)\n", r"""="\1",[\2]\n""", text("t,v,d", ",")),
+    "a zone of letters": text("time,v,d", ",", lambda t: f"2026-04-22 03:45:{t:06.3f} CEST"),
+    "decimal commas and a point": re.sub(
+        r"^([\d,]+);", lambda m: m[0].replace(",", "."), text("t;v;d", ";", comma=True), flags=re.M
+    ),
+    "a column of time that is none": text("GPS Time,Time,v,d", ",", lambda t: f"Wed Apr 22 03:45,{t:.3f}"),
     "days of a spreadsheet": text("time,v,d", ",", lambda t: f"{45769 + t / 86400:.12f}"),
     "days of MATLAB": text("time,v,d", ",", lambda t: f"{739000 + t / 86400:.12f}"),
 }
@@ -136,6 +153,16 @@ def test_steps_are_no_times(tmp_path, step):
         read_log(tmp_path / "log.csv")
 
 
+@pytest.mark.parametrize("kind", [pa.timestamp("us"), pa.timestamp("ns", "UTC"), pa.duration("ms")])
+def test_times_of_a_parquet_table_are_read(tmp_path, kind):
+    t, v, _ = zip(*ROWS, strict=True)
+    unit = {"us": 1e6, "ns": 1e9, "ms": 1e3}[kind.unit]
+    table = pa.table({"v": v, "time": pa.array([round(x * unit) for x in t], pa.int64()).cast(kind)})
+    pa_parquet.write_table(table, tmp_path / "log.parquet")
+    series = read_log(tmp_path / "log.parquet").series["v"]
+    np.testing.assert_allclose(series.t_ns / 1e9, t, atol=1e-9)
+
+
 def test_vectors_of_a_matlab_file_are_read_as_a_table(tmp_path):
     t, v, d = np.array(ROWS).T
     savemat(tmp_path / "log.mat", {"Time_ms": 1000 * t, "v": v, "d": d, "car": "mine"})
@@ -146,7 +173,9 @@ def test_vectors_of_a_matlab_file_are_read_as_a_table(tmp_path):
 def test_other_encodings_and_suffixes_are_read(tmp_path):
     (tmp_path / "wide.txt").write_bytes(FORMS["tabs"].encode("utf-16"))
     (tmp_path / "bare.csv").write_bytes(FORMS["semicolons and commas"].encode("utf-16-le"))
+    (tmp_path / "big.csv").write_bytes(FORMS["bars"].encode("utf-16-be"))
     assert list(read_log(tmp_path / "bare.csv").series) == ["v", "d"]
+    assert list(read_log(tmp_path / "big.csv").series) == ["v", "d"]
     (tmp_path / "old.tsv").write_bytes(FORMS["tabs"].replace("\td", "\tWinkel [°]").encode("cp1252"))
     assert list(read_log(tmp_path / "wide.txt").series) == ["v", "d"]
     assert list(read_log(tmp_path / "old.tsv").series) == ["v", "Winkel [°]"]
@@ -166,7 +195,7 @@ def test_packed_tables_are_read(tmp_path, suffix):
         read_log(log)
 
 
-def test_a_log_alone_in_an_archive_is_read(tmp_path):
+def test_the_logs_in_an_archive_are_read(tmp_path):
     log = tmp_path / "drive.zip"
     with zipfile.ZipFile(log, "w") as archive:
         archive.writestr("logs/one.csv", FORMS["tabs"])
@@ -175,6 +204,16 @@ def test_a_log_alone_in_an_archive_is_read(tmp_path):
         archive.writestr("logs/two.csv", FORMS["tabs"])
     with pytest.raises(InputError, match=r"holds 2 files \(logs/one.csv, logs/two.csv\); expected one log"):
         read_log(log)
+    for named in (log, tmp_path):
+        inside = logs_among([named])
+        assert [stem(p) for p in inside] == ["one", "two"] and inside[0].parent.parent.name == "drive.zip"
+        assert list(read_log(inside[1]).series) == ["v", "d"]
+    with zipfile.ZipFile(tmp_path / "binary.zip", "w") as archive:
+        archive.writestr("table.mat", b"")
+    assert [p.name for p in logs_among([tmp_path / "binary.zip"])] == ["table.mat"]
+    log.write_bytes(log.read_bytes()[:-30])
+    with pytest.raises(InputError, match=r"drive.zip: cannot be read \(.*\); expected a whole .zip"):
+        logs_among([log])
 
 
 VBO = """File created on 12/05/2024 at 12:59:30
@@ -225,6 +264,18 @@ SIGNAL_A_ROW = {
     ),
     "drive.jsonl": "".join(json.dumps({"t": t, "v": v, "in": {"x": 1}, "d": d}) + "\n" for t, v, d in ROWS),
     "list.json": json.dumps([{"time": t, "v": v, "d": d, "ok": True} for t, v, d in ROWS]),
+    "lists.json": json.dumps(
+        dict(zip(("time", "v", "d"), zip(*ROWS, strict=True), strict=True)) | {"car": "x"}
+    ),
+    "inside.json": json.dumps({"car": "x", "data": [{"time": t, "v": v, "d": d} for t, v, d in ROWS]}),
+    "influx.csv": "#group,false,false\n#datatype,string,dateTime:RFC3339\n#default,,\n"
+    ",result,_time,_value,_field\n"
+    + "".join(
+        f",,2023-11-14T22:13:{20 + t:06.3f}Z,{x},{n}\n"
+        for k, n in ((1, "v"), (2, "d"))
+        for t, *_ in ROWS
+        for x in (ROWS[round(50 * t)][k],)
+    ),
 }
 
 
@@ -270,8 +321,16 @@ def test_a_stray_cell_and_a_line_cut_short_are_named(tmp_path):
     with pytest.warns(InputWarning) as warned:
         read = read_log(log)
     said = " ".join(str(w.message) for w in warned)
-    assert "1 line(s) without 3 cells" in said and "column v: 1 cell(s) hold no number" in said
+    assert "1 line(s) without 3 cells" in said and "column v: 1 of 39 cells hold no number" in said
     assert len(read.series["d"].value) == 39 and np.isnan(read.series["v"].value).sum() == 1
+
+
+def test_a_column_with_numbers_and_other_cells_is_named(tmp_path):
+    (tmp_path / "log.csv").write_text(text("t,v,d", ",").replace(",-1.500", ",(1.5)").replace(",0.500", ",?"))
+    with pytest.warns(
+        InputWarning, match=r"column d: 2 of 40 cells hold no number, the first '\(1.5\)' in row 1"
+    ):
+        assert list(read_log(tmp_path / "log.csv").series) == ["v"]
 
 
 RAW = {
@@ -296,6 +355,20 @@ RAW = {
     "bytes of Python": "time,id,data\n0.001,27E,b'\\n\\xff'\n0.021,18FEF100,bytearray(b'\\x01\\x02\\x03')\n",
     "ZLG": "Index,Time Stamp,Channel,ID,Format,Len,Data\n"
     "0,0.001,ch1,0x0000027E,Standard,2,x| 0A FF\n1,0.021,ch1,0x18FEF100,Extend,3,x| 01 02 03\n",
+    "CL2000": '# Value separator: ";"\nTimestamp;Type;ID;Data\n20231114T221320001;0;27E;0AFF\n'
+    "20231114T221320021;1;18FEF100;010203\n",
+    "CL1000": '# Value separator: ";"\nTimestamp;Type;ID;Data\n01T000000001;0;27E;0AFF\n'
+    "01T000000021;1;18FEF100;010203\n",
+    "IXXAT": "ASCII Trace IXXAT Automation GmbH  Version: 1.3\nDate: 22.4.2026\n"
+    '"Time","Identifier (hex)","Format","Flags","Data (hex)"\n'
+    '"00:00:00.001","27E","Std","","0A FF "\n"00:00:00.021","18FEF100","Ext","","01 02 03 "\n',
+    "PCAN-Explorer": "Time (ms),Direction,ID (hex),DLC,Data (hex)\n"
+    "1,Rx,27E,2,0A FF\n21,Rx,18FEF100,3,01 02 03\n",
+    "CANalyzer": "Time;Chn;ID;Dir;Type;DLC;D0;D1;D2\n"
+    "0.001;1;27E;Rx;d;2;0A;FF;\n0.021;1;18FEF100x;Rx;d;3;01;02;03\n",
+    "milliseconds of a board": "timestamp_ms,id,ext,len,b0,b1,b2\n"
+    "1,27E,0,2,0A,FF,\n21,18FEF100,1,3,01,02,03\n",
+    "nanoseconds": "timestamp_ns,can_id,data\n1000000,0x27e,0A FF\n21000000,0x18fef100,01 02 03\n",
     "strym": "Time,Bus,MessageID,Message,MessageLength\n0.001,0,638,0aff,2\n0.021,0,419361024,010203,3\n",
 }
 
@@ -305,7 +378,9 @@ def test_raw_frames_as_a_table_are_read(tmp_path, form):
     (tmp_path / "log.csv").write_text(RAW[form])
     log = read_log(tmp_path / "log.csv")
     assert isinstance(log, Frames)
-    assert log.t_ns.tolist() == [10**6, 21 * 10**6] and log.length.tolist() == [2, 3]
+    assert np.diff(log.t_ns).tolist() == pytest.approx([20e6], abs=300)
+    assert log.t_ns[0] == 10**6 or "T" in RAW[form].splitlines()[-1]
+    assert log.length.tolist() == [2, 3]
     assert log.id.tolist() == [0x27E, 0x98FEF100]
     assert log.data[:, :3].tolist() == [[0x0A, 0xFF, 0], [1, 2, 3]]
 

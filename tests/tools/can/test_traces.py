@@ -80,6 +80,63 @@ def test_traces_of_every_version_have_the_same_frames(form, tmp_path):
         assert log.left_out["remote frames"] == 1
 
 
+HEAD = "***BUSMASTER Ver 3.2.2***\n***HEX***\n***SYSTEM MODE***\n"
+LINES = {
+    "busmaster.log": HEAD
+    + "11:49:12:9420 Rx 1 0x123 s 2 0A 0B\n11:49:12:9428 Tx 1 0x18FECA0E x 1 FF\n"
+    + "11:49:12:9500 Rx 1 0x100 sr 3\n***[STOP LOGGING SESSION]***\n",
+    "decimal.log": HEAD.replace("HEX", "DEC")
+    + "11:49:12:9420 Rx 1 291 s 2 10 11\n11:49:12:9428 Tx 1 419351054 x 1 255\n11:49:13:0 Rx 1 9 sr 0\n",
+    "relative.log": HEAD.replace("SYSTEM", "RELATIVE")
+    + "0:0:1:0 Rx 1 0x123 s 2 0A 0B\n0:0:0:8 Tx 1 0x18FECA0E x 1 FF\n0:0:0:9999 Rx 1 0x9 sr 0\n",
+    "midnight.txt": "23:59:59:9996 Rx 1 0x123 s 2 0A 0B\n00:00:00:0004 Tx 1 0x18FECA0E x 1 FF\n",
+    "ovms.crtd": "1841.2000 CXX Info Type:crtd;\n1841.2000 1R11 123 0A 0B\n1841.2008 1T29 18FECA0E FF\n",
+    "canking.txt": "Chn Identifier Flg   DLC  D0...1...2...3...4...5...6..D7       Time     Dir\n"
+    " 0    00000123         2  0A  0B                             1841.200000 R\n"
+    " 0    18FECA0E X       1  FF                                 1841.200800 T\n"
+    " 0    00000100 R       3                                     1841.3 R\n",
+    "canking decimal.txt": " 0    291         2  10  11     1.200000 R\n"
+    " 0    419351054 X       1  255  1.200800 T\n",
+    "microchip.can": "//----\nMicrochip Technology Inc.\n//----\n"
+    "1200;RX;0x123;2;0x0A;0x0B;\n1201;TX;0x18FECA0E;1;0xFF\n",
+    "adapter.slcan": "V1013\nt12320A0BEA5F\nT18FECA0E1FF0000\n",
+    "terminal.log": "(1841.2000) t12320A0B\r\n(1841.2008) T18FECA0E1FF\r\n",
+}
+"""Forms with a line a frame, each with the same two frames 0.8 ms apart, or 1 ms where it counts ms."""
+
+
+@pytest.mark.parametrize("name", LINES)
+def test_frames_with_a_line_each_are_read(name, tmp_path):
+    (tmp_path / name).write_text(LINES[name])
+    log = read_log(tmp_path / name)
+    assert log.id.tolist() == [0x123, 0x18FECA0E | EXTENDED]
+    assert [bytes(row[:n]) for row, n in zip(log.data, log.length, strict=True)] == [b"\x0a\x0b", b"\xff"]
+    in_ms = name in ("microchip.can", "adapter.slcan")
+    assert round((log.t_ns[1] - log.t_ns[0]) / 1e3) == (1000 if in_ms else 800)
+    assert log.left_out.get("remote frames", 0) == LINES[name].count(" sr ") + LINES[name].count("100 R ")
+
+
+@pytest.mark.parametrize(
+    ("name", "old", "new", "said"),
+    [
+        ("busmaster.log", "s 2 0A", "s 3 0A", r"line 4: no frame \(2 bytes, where its length says 3"),
+        ("microchip.can", "2;0x0A", "3;0x0A", "line 4: no frame"),
+        ("canking.txt", "2  0A", "1  0A", "line 2: no frame"),
+        (
+            "adapter.slcan",
+            "A0BEA5F",
+            "A0B",
+            "line 2: no frame .no time: slcan's adapter writes one after its command Z1",
+        ),
+        ("ovms.crtd", "0A 0B", "0A 1FF", "line 2: no frame"),
+    ],
+)
+def test_a_line_that_is_no_whole_frame_is_refused(name, old, new, said, tmp_path):
+    (tmp_path / name).write_text(LINES[name].replace(old, new))
+    with pytest.raises(InputError, match=said):
+        read_log(tmp_path / name)
+
+
 @pytest.mark.parametrize(
     ("suffix", "options"),
     [(".asc", {}), (".trc", {}), (".trc", {"file_version": can.TRCFileVersion.V1_0}), (".blf", {})],

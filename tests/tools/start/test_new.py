@@ -225,6 +225,26 @@ def test_units_and_messages_rank_the_signals_of_a_database():
             "THR.DesSpeed THR.Speed STER.DesTurnRate IMU.GyrX IMU.GyrZ ControlsOut_SteeringSteer",
             ("THR.Speed", "ControlsOut_SteeringSteer", "IMU.GyrZ"),
         ),
+        (
+            "/carState/vEgo /carState/steeringAngleDeg /carControl/steeringAngleDeg /carState/yawRate",
+            ("/carState/vEgo", "/carState/steeringAngleDeg", "/carState/yawRate"),
+        ),
+        (
+            "ABS_1::VehSpd[km/h] LWS_1::LWS_Angle[deg] ESP_2::YawRate[deg/s]",
+            ("ABS_1::VehSpd[km/h]", "LWS_1::LWS_Angle[deg]", "ESP_2::YawRate[deg/s]"),
+        ),
+        (
+            "Group1/Vx_[m/s] CAN/SWA(0.1deg) IMU\\psi_dot_[rad/s]",
+            ("Group1/Vx_[m/s]", "CAN/SWA(0.1deg)", "IMU\\psi_dot_[rad/s]"),
+        ),
+        (
+            "\u8f66\u901f(km/h) \u65b9\u5411\u76d8\u8f6c\u89d2(deg) \u6a2a\u6446\u89d2\u901f\u5ea6(deg/s)",
+            (
+                "\u8f66\u901f(km/h)",
+                "\u65b9\u5411\u76d8\u8f6c\u89d2(deg)",
+                "\u6a2a\u6446\u89d2\u901f\u5ea6(deg/s)",
+            ),
+        ),
     ],
 )
 def test_measurements_come_before_commands_in_the_topics_of_vehicles(topics, first):
@@ -243,6 +263,7 @@ SAME_WORDS = {
         "INS_Vel_Hor_X",
         "u",
         "SOG kn",
+        "velocidade_kmh",
     ),
     "input": (
         "StrgWhlAngHSC2 deg",
@@ -256,6 +277,7 @@ SAME_WORDS = {
         "stuurhoek",
         "kąt_skrętu_kierownicy",
         "servo_angle",
+        "Angolo_sterzo",
     ),
     "output": (
         "IMU_YawRtVal deg/s",
@@ -274,6 +296,8 @@ SAME_WORDS = {
         "GPS_Gyro",
         "Gyro_Yaw_Velocity",
         "velocidad_guiñada",
+        "girhastighet",
+        "AVz deg/s",
     ),
 }
 OTHER_QUANTITIES = {
@@ -478,6 +502,30 @@ def test_a_magnitude_beside_its_sign_is_refused(bit):
         proposed([log], chosen, Known("car", 2.7))
     signed = replace(log, values=values | {"B.Steering_Angle": delta})
     assert proposed([signed], chosen, Known("car"))["input"].name == "B.Steering_Angle"
+
+
+@pytest.mark.parametrize("folded", [("steering_angle",), ("yaw_rate",), ("steering_angle", "yaw_rate")])
+def test_magnitudes_without_any_sign_are_refused_unless_they_are_named(folded):
+    t = np.arange(0.0, 60.0, 0.1)
+    delta = 0.02 * np.sin(0.5 * t)
+    values = {"speed": 10 + np.sin(0.1 * t), "steering_angle": delta, "yaw_rate": 4 * delta}
+    log = Recording("a", t, values | {n: np.abs(values[n]) for n in folded}, {})
+    with pytest.raises(InputError, match=f"{' and '.join(folded)}: never negative, though near 0 many times"):
+        proposed([log], {}, Known("car", 2.7))
+    if len(folded) == 2:
+        chosen = {"input": "steering_angle", "output": "yaw_rate"}
+        assert proposed([log], chosen, Known("car", 2.7), {"speed": "m/s", "input": "rad", "output": "rad/s"})
+    backwards = replace(log, values=values | {"speed": -values["speed"]})
+    with pytest.raises(InputError, match="--speed: speed is not positive"):
+        proposed([backwards], {}, Known("car", 2.7))
+
+
+def test_a_command_in_place_of_a_measurement_is_named():
+    t = np.arange(0.0, 60.0, 0.1)
+    delta = 0.02 * np.sin(0.5 * t)
+    values = {"speed_mps": 10 + np.sin(0.1 * t), "steering_cmd_rad": delta, "yaw_rate_radps": 4 * delta}
+    made = proposed([Recording("a", t, values, {})], {}, Known("car", 2.7))
+    assert "by its name, which says a command and no measurement" in made["input"].why
 
 
 @pytest.mark.parametrize("held", [True, False])

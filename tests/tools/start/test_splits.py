@@ -5,7 +5,7 @@ from collections import Counter
 import numpy as np
 import pytest
 
-from lpvguard.start.splits import day, splits_of
+from lpvguard.start.splits import day, split_words, splits_of
 
 
 def drives(count: int, prefix: str = "r") -> dict[str, np.ndarray]:
@@ -28,6 +28,10 @@ def test_each_day_and_each_surface_is_in_both_halves():
     for prefix in ("wet_", "dry_", "dry2_"):
         halves = [split for n, split in splits.items() if n.startswith(prefix)]
         assert sorted(halves) == ["train", "train", "valid", "valid"]
+    said = (
+        "6 drives set the bounds, 6 calibrate, parted by speed and day (2025-01-01, 2025-02-03) and surface"
+    )
+    assert split_words(splits, {n: n for n in speeds}, days) == f"{said} (dry, wet)"
 
 
 def test_a_day_in_one_half_alone_gives_a_recording_of_about_its_speed():

@@ -141,6 +141,7 @@ SPELLINGS = {
         "cm/s": ("speed (cm/s)",),
         "mm/s": ("speed_mm_s",),
         "0.9144 m/s": ("speed [yd/s]",),
+        "0.1 km/h": ("speed [0.1 km/h]",),
         None: ("speed", "Geschwindigkeit", "v", "speed_2", "rms"),
     },
     "input": {
@@ -151,7 +152,10 @@ SPELLINGS = {
             "SteeringAngle[deg]",
             "SWA_degrees",
             "StrAngle °",
+            "Ângulo do volante (graus)",
+            "rattvinkel_grader",
         ),
+        "0.000290888209 rad": ("delta (arcmin)",),
         "mrad": ("winkel_mrad",),
         "gon": ("delta (gon)",),
         "turn": ("steering_turns",),
@@ -168,6 +172,7 @@ SPELLINGS = {
         ),
         "rpm": ("yaw_rate (rev/min)",),
         "deg/min": ("yaw_rate [deg/min]",),
+        "gon/s": ("yaw rate [gon/s]",),
         None: ("yaw_rate", "gyro_z", "gyro_rps"),
     },
 }

@@ -15,6 +15,9 @@ _KEPT = re.compile(r"\s*(BO_|SG_|VAL_|SIG_VALTYPE_|SG_MUL_VAL_|BA_DEF_|BA_DEF_DE
 _ABOUT = re.compile(r'\s*(?:(?:VAL_|SIG_VALTYPE_|SG_MUL_VAL_)|BA_\s+"[^"]*"\s+(?:BO_|SG_))\s+(\d+)\s')
 """Statements about one message: the place of its identifier."""
 
+_HEAD_LIKE = re.compile(r"\s*(?!SG_|SIG_|VAL_)\w*\s*\d+\s+\w+\s*:\s*\d+\s")
+"""A head of a message whose first word is wrong."""
+
 _Line = tuple[int, str]
 """Line number and text of a statement."""
 
@@ -49,19 +52,24 @@ def read_sound_lines(text: str) -> tuple[Database, list[str]]:
     definitions: list[_Line] = []
     corrected: list[_Line] = []
     left_out: list[_Line] = []
+    message: _Message | None = None
     for number, line in _statements(text):
         if head := re.match(r"BO_ (\d+)", line):
             flagged = _flagged(head[1])
             if flagged != head[1]:
                 corrected.append((number, line))
-            messages.append(_Message(flagged, (number, f"BO_ {flagged}{line[head.end() :]}")))
+            message = _Message(flagged, (number, f"BO_ {flagged}{line[head.end() :]}"))
+            messages.append(message)
+        elif _HEAD_LIKE.match(line):
+            message = None
+            left_out.append((number, line))
         elif line.lstrip().startswith("SG_ ") and messages:
-            messages[-1].signals.append((number, line))
+            (message.signals if message else left_out).append((number, line))
         elif about := _ABOUT.match(line):
             flagged = _flagged(about[1])
             statement = line[: about.start(1)] + flagged + line[about.end(1) :]
-            if message := next((m for m in messages if m.identifier == flagged), None):
-                message.about.append((number, statement))
+            if told := next((m for m in messages if m.identifier == flagged), None):
+                told.about.append((number, statement))
         elif _KEPT.match(line):
             definitions.append((number, line))
     definitions = _sound_lines(_HEAD, definitions, left_out)

@@ -1,4 +1,4 @@
-"""Logs of JSON: an object a line, or a list of objects. Fields of fields are called A.B."""
+"""Logs of JSON: an object a line, a list of objects, or one of lists. Fields of fields are called A.B."""
 
 import json
 from collections.abc import Iterator
@@ -31,8 +31,10 @@ def read_json(data: bytes, path: Path) -> TextTable:
     """
     text = decoded(data, path).strip()
     try:
-        whole = text.startswith("[")
-        rows = json.loads(text) if whole else [json.loads(line) for line in text.splitlines() if line.strip()]
+        try:
+            rows = _rows(json.loads(text))
+        except ValueError:
+            rows = [json.loads(line) for line in text.splitlines() if line.strip()]
     except ValueError as error:
         raise InputError(path, "", f"no JSON ({error})", "an object a line, or a list of them") from None
     flat = [dict(_fields("", row, 0)) for row in rows if isinstance(row, dict)]
@@ -41,6 +43,18 @@ def read_json(data: bytes, path: Path) -> TextTable:
         raise InputError(path, "", "holds no object with numbers", "an object a line, or a list of them")
     table = pa.table({n: pa.array([row.get(n) for row in flat], pa.string()) for n in names})
     return TextTable(table, 1, {}, False)
+
+
+def _rows(whole: Any) -> list[Any]:
+    """The rows of a whole file: a list, the longest list of objects in an object, or its lists of numbers."""
+    if isinstance(whole, list):
+        return whole
+    lists = {k: v for k, v in whole.items() if isinstance(v, list) and v} if isinstance(whole, dict) else {}
+    if objects := [v for v in lists.values() if isinstance(v[0], dict)]:
+        return max(objects, key=len)
+    longest = max(map(len, lists.values()), default=0)
+    columns = {k: v for k, v in lists.items() if len(v) == longest}
+    return [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)] or [whole]
 
 
 def _fields(name: str, value: Any, depth: int) -> Iterator[tuple[str, str]]:

@@ -1,7 +1,8 @@
 """Reads logs: raw CAN frames, or tables of decoded signals.
 
 raw      candump (-l, -L, and the screen with -t), ASC, BLF, TRC, MF4 with bus logging, CSV and Parquet with
-         the columns of python-can (timestamp, arbitration_id, extended, dlc, data);
+         the columns of python-can (timestamp, arbitration_id, extended, dlc, data); a line a frame of
+         BUSMASTER, CRTD, CanKing, Microchip's analyzer and slcan (line_logs.py);
          each also packed (packed.py) where it is text
 decoded  CSV, VBOX, JSON, Parquet and MATLAB files with one column a signal, text also with one row a signal
          (long_tables.py), folders with one of them a topic (topics.py), MF4 with one channel a signal;
@@ -23,6 +24,7 @@ from ..base import artefacts, native
 from ..base.errors import InputError, InputWarning
 from .damaged import python_can_reader
 from .foreign_logs import read_foreign, reader_of
+from .line_logs import form_of, read_lines
 from .log_types import ERROR_REPORT as ERROR_REPORT
 from .log_types import EXTENDED as EXTENDED
 from .log_types import FD_BYTES, frames_of_rows, row_of
@@ -31,7 +33,7 @@ from .log_types import Series as Series
 from .log_types import Table as Table
 from .matlab import read_matlab
 from .mf4 import read_mf4
-from .packed import PACKED, suffix_inside, unpacked
+from .packed import PACKED, names_inside, suffix_inside, unpacked, unpacked_folder
 from .sign_bits import sign_columns
 from .topics import joined, topic_files
 from .trc import read_trc
@@ -40,7 +42,7 @@ INDEX = "experiments.csv"
 """Index of a drive folder."""
 
 _NAME_BYTES, _CHANNELS, _COUNTS = 16, 64, 6
-_CANDUMP_SUFFIXES = {".log", ".candump", ".txt"}
+_CANDUMP_SUFFIXES = {".log", ".candump", ".txt", ".crtd", ".can", ".slcan"}
 _PYTHON_CAN_SUFFIXES = {".asc", ".blf"}
 _TRC_SUFFIX = ".trc"
 _MAT_SUFFIX = ".mat"
@@ -112,12 +114,15 @@ def read_log(
     if not path.is_file():
         raise InputError(path, "", "no such file", "a log: candump, ASC, BLF, MF4, CSV or Parquet")
     suffix = suffix_inside(path)
-    if suffix in _CANDUMP_SUFFIXES and not _is_table(path):
-        log: Frames | Table = _read_candump(path)
+    in_lines = form_of(_text(path, _HEAD)) if suffix in _CANDUMP_SUFFIXES else None
+    if in_lines is not None:
+        log: Frames | Table = read_lines(path, _text(path), in_lines)
+    elif suffix in _CANDUMP_SUFFIXES and not _is_table(path):
+        log = _read_candump(path)
     elif suffix in _PYTHON_CAN_SUFFIXES:
         log = _read_python_can(path)
     elif suffix == _TRC_SUFFIX:
-        log = read_trc(path, unpacked(path).decode("utf-8-sig", errors="replace"))
+        log = read_trc(path, _text(path))
     elif suffix in _MDF_SUFFIXES:
         log = read_mf4(path)
     elif suffix in {*_TEXT_SUFFIXES, *_CANDUMP_SUFFIXES, ".parquet", _MAT_SUFFIX}:
@@ -135,10 +140,16 @@ def read_log(
     return log
 
 
-def logs_among(paths: list[Path]) -> list[Path]:
-    """List the logs that paths name; for a folder all in it, in the order of their names.
+def _text(path: Path, most: int | None = None) -> str:
+    """The first bytes of a log, or all, as text."""
+    return unpacked(path, most).decode("utf-8-sig", errors="replace")
 
-    Files of other kinds are passed over, and a drive folder's index is too.
+
+def logs_among(paths: list[Path]) -> list[Path]:
+    """List the logs that paths name; for a folder or a .zip all in it, in the order of their names.
+
+    Files of other kinds are passed over, and a drive folder's index is too. Folders of folders are not
+    searched; those of a .zip are.
 
     Parameters
     ----------
@@ -155,13 +166,11 @@ def logs_among(paths: list[Path]) -> list[Path]:
     """
     logs: list[Path] = []
     for path in paths:
-        if path.is_dir() and (reader_of(path) is not None or topic_files(path)):  # one recording
-            logs.append(path)
-            continue
-        if not path.is_dir():
+        folder = path if path.is_dir() else _archive(path)
+        if folder is None:
             logs += [path] if path.name != INDEX else []
             continue
-        inside = [p for p in sorted(path.iterdir()) if p.name != INDEX and (_is_log(p) or topic_files(p))]
+        inside = _inside(folder, deep=folder != path)
         if not inside:
             raise InputError(path, "", "holds no log", "a folder of logs, or the logs themselves")
         logs += inside
@@ -170,6 +179,29 @@ def logs_among(paths: list[Path]) -> list[Path]:
     for path in logs:
         artefacts.require_unicode(path)
     return logs
+
+
+def _inside(folder: Path, *, deep: bool) -> list[Path]:
+    """The logs of a folder; ``deep``: of its folders, too."""
+    if reader_of(folder) is not None or topic_files(folder):  # one recording
+        return [folder]
+    logs: list[Path] = []
+    for path in sorted(folder.iterdir()):
+        unpacked_here = _archive(path)
+        if unpacked_here is not None or (deep and path.is_dir()):
+            logs += _inside(unpacked_here or path, deep=True)
+        elif path.name != INDEX and (_is_log(path) or topic_files(path)):
+            logs.append(path)
+    return logs
+
+
+def _archive(path: Path) -> Path | None:
+    """The folder of a .zip with several files, or with one that is no text; None for any other file."""
+    if path.suffix.lower() != ".zip" or not path.is_file():
+        return None
+    files = names_inside(path)
+    text = {*_TEXT_SUFFIXES, *_CANDUMP_SUFFIXES, _TRC_SUFFIX}
+    return None if len(files) == 1 and Path(files[0]).suffix.lower() in text else unpacked_folder(path)
 
 
 def _is_log(path: Path) -> bool:
@@ -284,6 +316,8 @@ def candump_frames(text: np.ndarray) -> Frames:
     -------
     Frames
     """
+    if b"\x1b[" in text[:_HEAD].tobytes():
+        text = np.frombuffer(_COLOUR.sub(b"", text.tobytes()), np.uint8)
     if _SCREEN.search(text[:_HEAD].tobytes()):
         text = np.frombuffer(_SCREEN.sub(_as_logged, text.tobytes()), np.uint8)
     return _parse_candump(text)
@@ -295,6 +329,8 @@ _BACKWARDS = 0.2
 """At most this share of the times of a log is before the one above."""
 _HEAD = 1 << 16
 """Number of bytes at the start of a log that show its form."""
+_COLOUR = re.compile(rb"\x1b\[[0-9;]*m")
+"""Colours of candump -c."""
 _SCREEN = re.compile(
     rb"^ *(\((?:[0-9]{1,10}|[0-9]{4}-[0-9]{2}-[0-9]{2} [0-9:]{8})\.[0-9]{1,9}\)) +"
     rb"(\S{1,15}) +(?:[RT]X [-B] [-E] +)?"

@@ -11,7 +11,7 @@ from .log_types import Series
 from .text_tables import TextTable, with_numbers
 
 _NAME = re.compile(
-    r"(telemetry_|signal_?|channel_?|parameter_?)?name|pid|signal|channel|parameter|variable|key|metric"
+    r"(telemetry_|signal_?|channel_?|parameter_?)?name|pid|signal|channel|parameter|variable|key|metric|field"
 )
 _VALUE = re.compile(r"(telemetry_|signal_?)?(value|val)|reading")
 _UNIT = re.compile(r"units?")

@@ -1,7 +1,7 @@
-"""Tables in MATLAB files: one vector of numbers a column, as `save -v7` writes it.
+"""Tables in MATLAB files: one vector of numbers a column, as `save -v7` writes it, also in structures.
 
-A damaged number makes scipy read foreign memory, because it indexes its table of types. This module therefore
-checks the variables' descriptions first. scipy then reads only sound vectors of numbers.
+scipy reads files of version 4. In those of version 5 a damaged number makes it read foreign memory, because
+it indexes its table of types; this module reads them itself.
 """
 
 import io
@@ -16,11 +16,17 @@ from scipy.io import loadmat
 from ..base.errors import InputError
 
 EXPECTED = "vectors of one length, a variable a column (save -v7)"
-_SIZES = {1: 1, 2: 1, 3: 2, 4: 2, 5: 4, 6: 4, 7: 4, 9: 8, 12: 8, 13: 8}
-"""Type of numbers in the file -> bytes of one."""
+_TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
+"""Types of numbers in the file."""
+_FLOATS = {6: "f8", 7: "f4"}
+"""Classes of arrays whose numbers may have a shorter type in the file."""
 _INT8, _INT32, _UINT32, _MATRIX, _COMPRESSED, _UTF8 = 1, 5, 6, 14, 15, 16
 _NUMBERS = range(6, 16)
 """Classes of arrays of numbers: double, single, and integers of 8 to 64 bits."""
+_STRUCTURE, _DEEPEST = 2, 6
+"""Class of structures, and how deep they may be within each other."""
+_OF_SIMULINK = ".signals.values"
+"""End of the names of signals that Simulink writes as structures with time."""
 _COMPLEX = 0x800
 _DESCRIBED = 4096
 """Bytes of a compressed variable that hold its description."""
@@ -29,7 +35,7 @@ _DENSEST = 1032
 
 
 def read_matlab(path: Path) -> pa.Table:
-    """Read the vectors of numbers among the variables.
+    """Read the vectors of numbers among the variables and in structures, there as STRUCTURE.FIELD.
 
     Parameters
     ----------
@@ -46,12 +52,16 @@ def read_matlab(path: Path) -> pa.Table:
     """
     try:
         content = path.read_bytes()
-        variables = loadmat(io.BytesIO(content), squeeze_me=True, variable_names=_vectors(content))
+        variables = _vectors(content)
+        if variables is None:
+            variables = loadmat(io.BytesIO(content), squeeze_me=True)
     except MemoryError:
         raise
     except Exception as error:  # scipy has no exception class for a broken file
         raise InputError(path, "", f"cannot be parsed ({type(error).__name__}: {error})", EXPECTED) from None
     columns = {n: v for n, v in variables.items() if getattr(v, "ndim", 0) == 1 and v.dtype.kind in "fiu"}
+    longest = max(map(len, columns.values()), default=0)
+    columns = {n: v for n, v in columns.items() if "." not in n or len(v) == longest}
     if len({len(v) for v in columns.values()}) > 1:
         lengths = ", ".join(f"{n} {len(v)}" for n, v in columns.items())
         raise InputError(path, "", f"variables of different lengths ({lengths})", EXPECTED)
@@ -59,31 +69,36 @@ def read_matlab(path: Path) -> pa.Table:
     return pa.table({n: v.astype(v.dtype.newbyteorder("=")) for n, v in columns.items()})
 
 
-def _vectors(content: bytes) -> list[str] | None:
-    """Names of the vectors of numbers in a file of version 5 (to 7.2); None for another version.
+def _vectors(content: bytes) -> dict[str, np.ndarray] | None:
+    """Vectors of numbers by name in a file of version 5 (to 7.2); None for another version.
 
     Raises ValueError for a damaged file.
     """
     order = {b"IM": "<", b"MI": ">"}.get(content[126:128])
     if order is None or 0 in content[:4] or int(np.frombuffer(content, order + "u2", 1, 124)[0]) >> 8 != 1:
         return None
-    names, at = [], 128
+    vectors: dict[str, np.ndarray] = {}
+    at = 128
     while at < len(content):
         kind, start, size = _tag(content, at, order)
         element, room = content[start : start + size], size
         if len(element) < size:
             raise ValueError("a variable ends behind the file")
         at = start + size
+        rest = None
         if kind == _COMPRESSED:
             room = _DENSEST * size
-            element = zlib.decompressobj().decompress(element, _DESCRIBED)
+            rest = zlib.decompressobj()
+            element = rest.decompress(element, _DESCRIBED)
             kind, start, size = _tag(element, 0, order)
             element = element[start:]
         if kind != _MATRIX or size > room:
             raise ValueError(f"a variable of type {kind} with {size} bytes")
-        if name := _vector(element, size, order):
-            names.append(name)
-    return names
+        described = _described(element, order)
+        if rest is not None and (described[0] == _STRUCTURE or _is_vector(*described[:2])):
+            element += rest.decompress(rest.unconsumed_tail, max(size - len(element), 1))
+        vectors |= _of_matrix("", element[:size], order, 0)
+    return vectors
 
 
 def _tag(content: bytes, at: int, order: str) -> tuple[int, int, int]:
@@ -92,23 +107,60 @@ def _tag(content: bytes, at: int, order: str) -> tuple[int, int, int]:
     return (first & 0xFFFF, at + 4, first >> 16) if first >> 16 else (first, at + 8, second)
 
 
-def _vector(element: bytes, size: int, order: str) -> str:
-    """Name of a variable that is a vector of numbers, else "".
+def _part(content: bytes, at: int, order: str, types: set[int]) -> tuple[bytes, int]:
+    """An element that describes a variable, and where the next begins. ValueError for one of other types."""
+    kind, start, length = _tag(content, at, order)
+    if kind not in types or start + length > min(len(content), max(at, 0) + _DESCRIBED):
+        raise ValueError(f"a description of type {kind} with {length} bytes")
+    return content[start : start + length], -(-(start + length) // 8) * 8
 
-    Raises ValueError where its parts contradict its description.
-    """
-    at, parts = 0, []
-    for types in ({_UINT32}, {_INT32}, {_INT8, _UTF8}):
-        kind, start, length = _tag(element, at, order)
-        if kind not in types or start + length > len(element):
-            raise ValueError(f"a description of type {kind} with {length} bytes")
-        parts.append(element[start : start + length])
-        at = -(-(start + length) // 8) * 8
-    flags = int(np.frombuffer(parts[0], order + "u4", 1)[0])
-    if flags & 0xFF not in _NUMBERS or flags & _COMPLEX:
-        return ""
-    sides = np.frombuffer(parts[1], order + "i4").tolist()
-    kind, start, length = _tag(element, at, order)
-    if length != prod(sides) * _SIZES.get(kind, -1) or start + length > size:
-        raise ValueError(f"{sides} numbers of type {kind} in {length} bytes")
-    return parts[2].decode() if len([n for n in sides if n != 1]) == 1 else ""
+
+def _described(element: bytes, order: str) -> tuple[int, list[int], str, int]:
+    """Class, sides and name of a variable, and where its content begins; class 0 for complex numbers."""
+    flags, at = _part(element, 0, order, {_UINT32})
+    sides, at = _part(element, at, order, {_INT32})
+    name, at = _part(element, at, order, {_INT8, _UTF8})
+    word = int(np.frombuffer(flags, order + "u4", 1)[0])
+    kind = 0 if word & _COMPLEX else word & 0xFF
+    return kind, np.frombuffer(sides, order + "i4").tolist(), name.decode(), at
+
+
+def _is_vector(kind: int, sides: list[int]) -> bool:
+    return kind in _NUMBERS and len([n for n in sides if n != 1]) == 1
+
+
+def _of_matrix(prefix: str, element: bytes, order: str, depth: int) -> dict[str, np.ndarray]:
+    """Vectors of a variable, or of a structure's fields. ValueError where its parts contradict each other."""
+    kind, sides, name, at = _described(element, order)
+    name = prefix + name
+    if kind == _STRUCTURE and prod(sides) == 1 and depth < _DEEPEST:
+        return _of_structure(name, element, at, order, depth)
+    if kind not in _NUMBERS:
+        return {}
+    number, start, length = _tag(element, at, order)
+    size = np.dtype(_TYPES[number]).itemsize if number in _TYPES else -1
+    if length != prod(sides) * size or (_is_vector(kind, sides) and start + length > len(element)):
+        raise ValueError(f"{sides} numbers of type {number} in {length} bytes")
+    if not _is_vector(kind, sides):
+        return {}
+    values = np.frombuffer(element, order + _TYPES[number], prod(sides), start)
+    return {name.removesuffix(_OF_SIMULINK): values.astype(_FLOATS.get(kind, _TYPES[number]))}
+
+
+def _of_structure(name: str, element: bytes, at: int, order: str, depth: int) -> dict[str, np.ndarray]:
+    """Vectors of a structure's fields."""
+    width, at = _part(element, at, order, {_INT32})
+    fields, at = _part(element, at, order, {_INT8})
+    step = int(np.frombuffer(width, order + "i4", 1)[0])
+    if step < 1:
+        raise ValueError(f"names of {step} letters")
+    vectors: dict[str, np.ndarray] = {}
+    for k in range(0, len(fields), step):
+        kind, start, size = _tag(element, at, order)
+        if kind != _MATRIX or start + size > len(element):
+            raise ValueError(f"a field of type {kind} with {size} bytes")
+        field = fields[k : k + step].split(b"\0")[0].decode()
+        if size:
+            vectors |= _of_matrix(f"{name}.{field}", element[start : start + size], order, depth + 1)
+        at = -(-(start + size) // 8) * 8
+    return vectors

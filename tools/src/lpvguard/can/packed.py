@@ -1,11 +1,13 @@
-"""Logs that are packed: .gz, .bz2, .xz, .zst, or .zip with one log in it."""
+"""Logs that are packed: .gz, .bz2, .xz, .zst, or .zip; one with several is unpacked into a folder."""
 
 import bz2
 import gzip
 import lzma
+import tempfile
 import zipfile
 import zlib
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path, PurePath
 
 from ..base.errors import InputError
@@ -48,16 +50,67 @@ def name_inside(path: Path) -> str:
     """
     if path.suffix.lower() != ".zip":
         return path.stem if path.suffix.lower() in _UNPACK else path.name
+    files = names_inside(path)
+    if len(files) != 1:
+        said = ", ".join(files[:3]) + (", ..." if len(files) > 3 else "")
+        raise InputError(path, "", f"holds {len(files)} files ({said})", "one log; unpack it into a folder")
+    return files[0]
+
+
+def names_inside(path: Path) -> list[str]:
+    """Name the files of a .zip.
+
+    Parameters
+    ----------
+    path : Path
+
+    Returns
+    -------
+    list[str]
+
+    Raises
+    ------
+    InputError
+        If it cannot be read.
+    """
     try:
         with zipfile.ZipFile(path) as archive:
             names = archive.namelist()
     except (OSError, zipfile.BadZipFile) as error:
         raise InputError(path, "", f"cannot be read ({error})", "a whole .zip") from None
-    files = [n for n in names if not n.endswith("/") and not n.startswith("__MACOSX")]
-    if len(files) != 1:
-        said = ", ".join(files[:3]) + (", ..." if len(files) > 3 else "")
-        raise InputError(path, "", f"holds {len(files)} files ({said})", "one log; unpack it into a folder")
-    return files[0]
+    return [n for n in names if not n.endswith("/") and not n.startswith("__MACOSX")]
+
+
+@cache
+def _unpacked_folders() -> tempfile.TemporaryDirectory[str]:
+    """A folder for the files of archives until the process ends."""
+    return tempfile.TemporaryDirectory()
+
+
+@cache
+def unpacked_folder(path: Path) -> Path:
+    """Unpack a .zip into a folder of its name, which the end of the process removes.
+
+    Parameters
+    ----------
+    path : Path
+
+    Returns
+    -------
+    Path
+
+    Raises
+    ------
+    InputError
+        If it cannot be unpacked.
+    """
+    folder = Path(tempfile.mkdtemp(dir=_unpacked_folders().name)) / path.name
+    try:
+        with zipfile.ZipFile(path) as archive:
+            archive.extractall(folder, names_inside(path))
+    except (OSError, RuntimeError, ValueError, zlib.error, zipfile.BadZipFile) as error:
+        raise InputError(path, "", f"cannot be unpacked ({error})", "a whole .zip") from None
+    return folder
 
 
 def unpacked(path: Path, most: int | None = None) -> bytes:

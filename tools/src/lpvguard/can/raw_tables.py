@@ -6,6 +6,7 @@ Columns are found by name. One holds all data bytes, or there is one a byte.
 import ast
 import base64
 import binascii
+import math
 import re
 from collections.abc import Sequence
 from pathlib import Path
@@ -13,14 +14,15 @@ from pathlib import Path
 from ..base.errors import InputError
 from .log_types import Frames, frames_of_rows, row_of
 from .text_tables import TextTable
+from .time_columns import UNITS_NS, times_of_texts, unit_of_time
 
 _COLUMNS = {
-    "time": ("timestamp", "time_stamp", "time", "timestampepoch", "abs_time_sec", "t"),
+    "time": ("timestamp", "time_stamp", "time", "timestampepoch", "abs_time", "t", "micros", "millis"),
     "id": ("arbitration_id", "id", "addr", "address", "can_id", "canid", "messageid", "arb_id", "identifier"),
     "data": ("data", "databytes", "payload", "message"),
-    "bus": ("bus", "channel", "buschannel", "src", "network", "interface"),
+    "bus": ("bus", "channel", "chn", "buschannel", "src", "network", "interface"),
     "length": ("len", "dlc", "length", "datalength", "messagelength"),
-    "extended": ("extended", "ide", "xtd"),
+    "extended": ("extended", "ide", "xtd", "ext", "format"),
     "remote": ("remote", "rtr"),
     "error": ("error",),
 }
@@ -29,13 +31,19 @@ _NUMBERS = re.compile(r"[\[(]\s*\d{1,3}(\s*,\s*\d{1,3})*\s*[\])]")
 """Data as a list of Python's numbers."""
 _BYTES = re.compile(r"""bytearray\((b['"].*['"])\)|(b['"].*['"])""", re.DOTALL)
 """Data as Python prints it."""
+_WITHOUT_UNIT = re.compile(r"_(s|secs?|seconds|ms|us|ns|hex|dec)$")
 _HEXADECIMAL = ("id", "can_id", "canid", "identifier", "arbitration_id")
 """Names of identifiers that are hexadecimal whatever digits they have."""
 
 
+def _low(name: str) -> str:
+    """A name in lower case, its words joined by _."""
+    return re.sub(r"[^a-z0-9]+", "_", name.lower()).strip("_")
+
+
 def _columns_by_content(names: Sequence[str]) -> dict[str, str]:
     """Return the name of the column for each content."""
-    low = {re.sub(r"[^a-z0-9]+", "_", name.lower()).strip("_"): name for name in reversed(names)}
+    low = {_WITHOUT_UNIT.sub("", _low(name)): name for name in reversed(names)}
     return {
         kind: low[word]
         for kind, words in _COLUMNS.items()
@@ -63,7 +71,7 @@ def raw_frames(read: TextTable, path: Path) -> Frames:
     single = (
         None if "data" in by_content else [table.column(n).to_pylist() for n in _bytes_of(table.column_names)]
     )
-    scale = _seconds(columns["time"], by_content["time"], single is not None)
+    t_s = _times(columns["time"], by_content["time"], single is not None)
     of_bytes = _base_of_bytes(single or [columns["data"]])
     base = _base_of_ids(columns["id"], by_content["id"], of_bytes)
     hexadecimal = single is not None or _is_hexadecimal(columns["data"])
@@ -75,8 +83,9 @@ def raw_frames(read: TextTable, path: Path) -> Frames:
             left_out[kind] += 1
             continue
         try:
-            identifier = int(str(text), 16 if str(text).lower().startswith("0x") else base)
-            wide = _yes(cell["extended"]) if cell.get("extended") is not None else identifier > 0x7FF
+            digits = str(text).lower().rstrip("xh ")
+            identifier = int(digits, 16 if digits.startswith("0x") else base)
+            wide = _yes(cell.get("extended")) or identifier > 0x7FF
             length = None if cell.get("length") is None else int(str(cell["length"]), 0)
             data = (
                 _payload(cell["data"], hexadecimal)
@@ -86,8 +95,7 @@ def raw_frames(read: TextTable, path: Path) -> Frames:
             if length is not None and length != len(data):
                 raise ValueError(f"{len(data)} bytes, where its length says {length}")
             bus = cell.get("bus")
-            t_s = float(str(cell["time"]).replace(",", ".")) * scale
-            rows.append(row_of(t_s, identifier, wide, "" if bus is None else bus, data))
+            rows.append(row_of(t_s[k], identifier, wide, "" if bus is None else bus, data))
         except (TypeError, ValueError) as error:
             raise InputError(
                 path,
@@ -99,13 +107,31 @@ def raw_frames(read: TextTable, path: Path) -> Frames:
 
 
 def _yes(text: object) -> bool:
-    return str(text).strip().lower() in ("1", "true", "t", "yes", "x")
+    return str(text).strip().lower() in ("1", "true", "t", "yes", "x", "ext", "extended", "extend")
 
 
-def _seconds(times: list[str | None], name: str, one_a_byte: bool) -> float:
+def _times(texts: list[str | None], name: str, one_a_byte: bool) -> list[float]:
+    """Times [s] of the rows; NaN where there is none."""
+    first = next((text for text in texts if text), "0")
+    if math.isnan(_number(first)):
+        t_ns, bad = times_of_texts(texts)
+        return [math.nan if none else t / 1e9 for t, none in zip(t_ns.tolist(), bad.tolist(), strict=True)]
+    scale = _seconds(first, name, one_a_byte)
+    return [_number(text) * scale for text in texts]
+
+
+def _number(text: str | None) -> float:
+    try:
+        return float((text or "").replace(",", "."))
+    except ValueError:
+        return math.nan
+
+
+def _seconds(first: str, name: str, one_a_byte: bool) -> float:
     """Seconds of a unit of the time column: GVRET counts microseconds, others write a decimal mark."""
-    first = next((t for t in times if t), "0")
-    if "us" in name.lower() or (one_a_byte and re.fullmatch(r"\d+", first)):
+    if unit := unit_of_time(name, {}):
+        return UNITS_NS.get(unit, 10**9) / 1e9
+    if one_a_byte and re.fullmatch(r"\d+", first):
         return 1e-9 if len(first) >= 19 else 1e-6
     if re.fullmatch(r"\d{19}", first):
         return 1e-9
@@ -123,9 +149,10 @@ def _base_of_bytes(columns: list[list[str | None]]) -> int:
 
 
 def _base_of_ids(texts: list[str | None], name: str, of_bytes: int) -> int:
-    low = re.sub(r"[^a-z0-9]+", "_", name.lower()).strip("_")
+    low = _low(name)
     letters = any(re.search(r"[A-Fa-f]", t) for t in texts if t and not t.lower().startswith("0x"))
-    return 16 if letters or (low in _HEXADECIMAL and of_bytes == 16) else 10
+    stated = low.endswith("_hex") or (low in _HEXADECIMAL and of_bytes == 16)
+    return 16 if letters or stated else 10
 
 
 def _squeezed(text: str | None) -> str:

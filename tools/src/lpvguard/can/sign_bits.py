@@ -53,12 +53,16 @@ def sign_columns(series: dict[str, Series]) -> dict[str, str]:
     Returns
     -------
     dict[str, str]
-        By magnitude the column of the same name with a word for sign.
+        By magnitude the column of the same name, apart from a unit, with a word for sign.
     """
     signs: dict[str, str] = {}
     for bit, values in series.items():
         base = [w for w in _words(bit) if not _WORDS.match(w)]
+        if len(base) == len(_words(bit)):
+            continue
         same = [n for n in series if n != bit and _words(n) == base]
+        longer = [n for n in series if n != bit and _words(n)[: len(base)] == base != []]
+        same = same or (longer if len(longer) == 1 else [])
         if same and np.isin(np.unique(values.value[np.isfinite(values.value)]), (0.0, 1.0)).all():
             signs |= {n: bit for n in same if not (series[n].value < 0).any()}
     return signs

@@ -24,17 +24,24 @@ _BYTE = re.compile(r"(d|data|b|byte)_?\d", re.IGNORECASE)
 """The last column of a table of raw frames with a column a byte."""
 _LOOKED_AT = 60
 """Lines at the start of a file that show its form."""
-_COMMENT = re.compile(r"^\s*(#(?!\w*,)|//|%\s|!)")
+_COMMENT = re.compile(r"^\s*(#(?!\w*,)|#(group|datatype|default),|//|%\s|!)")
 _NUMBER = re.compile(r"\s*[-+]?(\d+([.,]\d*)?|[.,]\d+)([eE][-+]?\d+)?\s*")
 _WITH_UNIT = r"^\s*(?P<number>[-+]?[\d.,]+(?:[eE][-+]?\d+)?)\s*(?P<unit>[^\s\d.,+-][^\d]*)$"
 """A cell of a number and its unit, as 12.5 km/h."""
-_GROUPED = r"^[-+]?\d{1,3}(?:%s\d{3})+(?:%s\d*)?$"
+_GROUPED = r"^[-+]?[1-9]\d{0,2}(?:%s\d{3})+(?:%s\d*)?$"
 """A number whose thousands are set apart, by which sign, and its decimal mark."""
+_MARKED_NUMBERS = (
+    (r"([\d.])[dD]([-+]?\d+)$", r"\1e\2"),
+    (r"""^=?["'\[]+\s*([-+.\deE]+)\s*["'\]]+$""", r"\1"),
+)
+"""Numbers with an exponent of Fortran, and in further quotes or brackets, and the same without."""
 _MOST_ROWS_OF_WORDS = 4
 """Rows below a header that may state units, sources and rates."""
 _MISSING = ("", "NA", "N/A", "NaN", "nan", "NAN", "null", "NULL", "None", "-", "--", "-nan", "#N/A", "n/a")
 STRAY = 0.02
 """At most this share of a column's cells, or of the lines, may be no number, or have other columns."""
+MIXED = 0.8
+"""A column with a larger share of cells that are no number is one of words."""
 
 
 @dataclass(frozen=True)
@@ -54,7 +61,7 @@ def read_text_table(data: bytes, path: Path) -> TextTable:
     Lines before the header and comments are skipped, unless a comment is the header. InputError where no
     header is found, or where more than STRAY of the lines do not fit it.
     """
-    lines = _unquoted(decoded(data, path).splitlines())
+    lines = _unquoted(decoded(data, path).replace("\u2212", "-").splitlines())
     first = next((k for k, line in enumerate(lines) if line.strip() and not _COMMENT.match(line)), None)
     if first is None:
         raise InputError(path, "", "holds no line of a table", "a header line and rows")
@@ -95,8 +102,9 @@ def decoded(data: bytes, path: Path) -> str:
     """
     if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
         return data.decode("utf-16", errors="replace")
-    if data[1:400:2].strip(b"\0") == b"" and len(data) > 2:  # without its mark
-        return data.decode("utf-16-le", errors="replace")
+    for start, code in ((1, "utf-16-le"), (0, "utf-16-be")):
+        if len(data) > 2 and not data[start:400:2].strip(b"\0"):  # without its mark
+            return data.decode(code, errors="replace")
     if b"\0" in data[:4096]:
         raise InputError(path, "", "is no text: it holds null bytes", "a text table")
     try:
@@ -273,25 +281,31 @@ def _numbers(trimmed: pa.StringArray, has_unit: bool, comma: bool, path: Path, n
     if has_unit:
         trimmed = pc.replace_substring_regex(trimmed, r"\s*[^\s\d.,+-][^\d]*$", "")
     plain = _ungrouped(trimmed, comma)
-    try:
-        return pc.cast(plain, pa.float64())
-    except pa.ArrowInvalid:
-        pass
+    for mark, number in (("", ""), *_MARKED_NUMBERS):
+        plain = pc.replace_substring_regex(plain, mark, number) if mark else plain
+        try:
+            return pc.cast(plain, pa.float64())
+        except pa.ArrowInvalid:
+            pass
     fits = pc.fill_null(pc.match_substring_regex(plain, r"^[-+]?(\d+(\.\d*)?|\.\d+)([eE][-+]?\d+)?$"), False)
     fits = pc.or_(
         fits, pc.fill_null(pc.match_substring_regex(plain, r"(?i)^[-+]?(inf|infinity|nan)$"), False)
     )
     stray = pc.and_(pc.invert(fits), pc.is_valid(plain))
     n, held = int(pc.sum(stray).as_py() or 0), int(pc.sum(pc.is_valid(plain)).as_py() or 0)
-    if n > max(1, STRAY * held):
+    is_text = n > max(1, STRAY * held)
+    if is_text and n > MIXED * held:
         return text
     at = int(np.flatnonzero(stray.to_numpy(zero_copy_only=False))[0])
+    so = "it is left out" if is_text else "they count as missing"
     warnings.warn(
-        f"{path}: column {name}: {n} cell(s) hold no number and count as missing, "
-        f"the first {text[at].as_py()!r} in row {at + 1}",
+        f"{path}: column {name}: {n} of {held} cells hold no number, the first {text[at].as_py()!r} in row "
+        f"{at + 1}; {so}",
         InputWarning,
         stacklevel=1,
     )
+    if is_text:
+        return text
     return pc.cast(pc.if_else(fits, plain, None), pa.float64())
 
 

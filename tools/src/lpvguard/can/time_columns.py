@@ -12,17 +12,21 @@ from ..base.errors import InputError, InputWarning
 from .text_tables import STRAY
 
 UNITS_NS = {"s": 10**9, "ms": 10**6, "us": 10**3, "ns": 1}
+_STATED_NS = {**UNITS_NS, "min": 60 * 10**9, "h": 3600 * 10**9}
+"""Units that a name or the log states."""
 _SPELLED = {
     "s": "s sec secs second seconds sek sekunden",
     "ms": "ms msec millis millisecond milliseconds millisekunden",
     "us": "us µs μs usec micros microsecond microseconds mikrosekunden",
     "ns": "ns nsec nanos nanosecond nanoseconds nanosekunden",
+    "min": "min minute minutes minuten",
+    "h": "h hour hours stunden",
 }
 _UNIT_OF = {word: unit for unit, words in _SPELLED.items() for word in words.split()}
 _NAMES = (
-    r"^(t|times?|timestamps?|time_stamp|zeit|ts|zeitstempel|temps|tiempo|tijd|czas|tid)$",
+    r"^(t|times?|timestamps?|time_stamp|zeit|ts|zeitstempel|temps|tiempo|tempo|tijd|czas|tid|时间)$",
     r"(^|_)(times?|timestamps?|stamp|zeit|zeitstempel|epoch|datetime|date_time|datum|uhrzeit|elapsed|t|temps|"
-    r"tiempo|tijd|czas)(_|$)",
+    r"tiempo|tempo|tijd|czas|时间)(_|$)",
 )
 _SECONDS, _NANOSECONDS = r"(^|_)(secs?|seconds)$", r"(^|_)(nsecs?|nanosecs?|nanoseconds)$"
 _EPOCH_S = (9.0e8, 4.0e9)
@@ -39,16 +43,21 @@ _BACK = 0.2
 _MONTHS = ("jan", "feb", "m[aä]r", "apr", "ma[iy]", "jun", "jul", "aug", "sep", "o[ck]t", "nov", "de[cz]")
 _DATE = (
     r"(?P<y>\d{4})([-/.]?)(?P<m>\d{2})\2(?P<d>\d{2})|"
-    r"(?P<d2>\d{1,2})[-/. ](?P<m2>\d{1,2}|[^\W\d]{3,9})[-/. ](?P<y2>\d{4})"
+    r"(?P<d2>\d{1,2})[-/. ](?P<m2>\d{1,2}|[^\W\d]{3,9})[-/. ](?P<y2>(?:20)?\d{2})"
 )
-_CLOCK = r"(?P<h>\d{1,2})(?P<by>[:-]?)(?P<min>\d{2})(?P=by)(?P<s>\d{2})(?:[.,:-](?P<rest>\d+))?"
+_CLOCK = (
+    r"(?P<h>\d{1,2})(?P<by>[:-]?)(?P<min>\d{2})(?P=by)(?P<s>\d{2})(?:(?:[.,:-]|(?<=\d{6}))(?P<rest>\d+))?"
+)
 _DATE_ONLY = re.compile(_DATE)
 _DATE_AND_CLOCK = re.compile(
-    rf"(?:{_DATE})[T _-]+{_CLOCK}\s*(?P<half>[AP]M)?\s*(?P<zone>Z|UTC|[+-]\d{{2}}:?\d{{2}})?", re.IGNORECASE
+    rf"(?:{_DATE})[T _-]+{_CLOCK}\s*(?P<half>[AP]M)?\s*(?P<zone>[A-Z]{{1,5}}|[+-]\d{{2}}:?\d{{2}})?",
+    re.IGNORECASE,
 )
-_TIME_OF_DAY = re.compile(r"(\d{1,2}):(\d{2}):(\d{2})(?:[.,:](\d+))?")
+_TIME_OF_DAY = re.compile(r"(?:(\d+) days?,? )?(\d{1,2}):(\d{1,2}):(\d{1,2})(?:[.,:](\d+))?")
 _ELAPSED = re.compile(r"(\d{1,3}):(\d{2})[.,](\d+)")
 """Minutes, seconds and parts of a second."""
+_OF_LOGGER = re.compile(r"(?:\d{2})?(\d{2})?T(\d{2})(\d{2})(\d{2})(\d+)")
+"""Month, day, and the digits of a clock to ms, as a logger of CSS writes them."""
 
 
 def time_of(
@@ -76,6 +85,10 @@ def time_of(
             "`rate_hz` in the signal map); there are " + ", ".join(names),
         )
     values = table.column(column)
+    if pa.types.is_duration(values.type):
+        whole = values.cast(pa.duration("ns")).cast(pa.int64())
+        table = table.set_column(names.index(column), column, whole)
+        values, units = table.column(column), {**units, column: "ns"}
     if pa.types.is_timestamp(values.type) or pa.types.is_time(values.type):
         values = values.cast(pa.string())
     if pa.types.is_string(values.type) or pa.types.is_large_string(values.type):
@@ -86,20 +99,20 @@ def time_of(
                 texts = [
                     f"{day} {time}" for day, time in zip(texts, table.column(clock).to_pylist(), strict=True)
                 ]
-        t_ns, bad = _of_text(texts)
+        t_ns, bad = times_of_texts(texts)
         keep = _usable(bad, texts, path, column, first_line)
         return _growing(t_ns[keep], path, column), keep, {column, clock or column}
     t = _plain(table, column)
     made = _since_1970(t, path, column) or _of_clock(t, path, column)
-    t, unit = made or (t, _stated(column, units) or _by_shape(t, path, column))
+    t, unit = made or (t, unit_of_time(column, units) or _by_shape(t, path, column))
     with np.errstate(invalid="ignore"):
-        bad = ~(np.abs(t) <= _LATEST_S * 1e9 / UNITS_NS[unit])
+        bad = ~(np.abs(t) <= _LATEST_S * 1e9 / _STATED_NS[unit])
     keep = _usable(bad, t, path, column, first_line)
     kind = table.schema.field(column).type
     if pa.types.is_integer(kind) and made is None:
-        t_ns = table.column(column).filter(keep).cast(pa.int64()).to_numpy() * UNITS_NS[unit]
+        t_ns = table.column(column).filter(keep).cast(pa.int64()).to_numpy() * _STATED_NS[unit]
     else:
-        t_ns = np.rint(t[keep] * UNITS_NS[unit]).astype(np.int64)
+        t_ns = np.rint(t[keep] * _STATED_NS[unit]).astype(np.int64)
     return _growing(t_ns, path, column), keep, {column}
 
 
@@ -198,7 +211,7 @@ def _plain(table: pa.Table, column: str) -> np.ndarray:
 def _low(name: str) -> str:
     """A name without brackets, in lower case, its words joined by _."""
     plain = re.sub(r"[\[({].*?[\])}]", "", name)
-    return re.sub(r"[^a-z0-9]+", "_", re.sub(r"([a-z])([A-Z])", r"\1_\2", plain).lower()).strip("_")
+    return re.sub(r"[\W_]+", "_", re.sub(r"([a-z])([A-Z])", r"\1_\2", plain).lower()).strip("_")
 
 
 def _pair(names: list[str]) -> tuple[str, str] | None:
@@ -219,11 +232,23 @@ def _by_name(table: pa.Table) -> str | None:
     without_unit = {n: "_".join(w for w in _low(n).split("_") if w not in _UNIT_OF) for n in names}
     for pattern in _NAMES:
         matches = [n for n in names if re.search(pattern, without_unit[n])]
-        grows = [n for n in matches if _is_text(table, n) or _grows(_plain(table, n))]
+        grows = [n for n in matches if _tells_time(table, n) or _grows(_plain(table, n))]
         if matches:
             return (grows or matches)[0]
     bare = [n for n in names if _low(n) in (*_UNIT_OF, "interval", "gmt", "utc")]
     return next((n for n in bare if _grows(_plain(table, n))), None)
+
+
+def _tells_time(table: pa.Table, name: str) -> bool:
+    """Return whether a column is of times, or its first text is a time or a date."""
+    kind = table.schema.field(name).type
+    if pa.types.is_temporal(kind) or not _is_text(table, name):
+        return pa.types.is_temporal(kind)
+    first = next((text.strip() for text in table.column(name).to_pylist() if text), "")
+    try:
+        return _DATE_ONLY.fullmatch(first) is not None or _parsed(first) is not None
+    except ValueError:
+        return False
 
 
 def _is_text(table: pa.Table, name: str) -> bool:
@@ -236,8 +261,18 @@ def _grows(t: np.ndarray) -> bool:
     return len(step) > 0 and bool(np.mean(step >= 0) > 0.9 and step.max() > 0)
 
 
-def _stated(name: str, units: Mapping[str, str]) -> str | None:
-    """The unit that the log or the name states: in brackets, or as the last word."""
+def unit_of_time(name: str, units: Mapping[str, str]) -> str | None:
+    """Find the unit of times that the log or the name states: in brackets, or as the last word.
+
+    Parameters
+    ----------
+    name : str
+    units : Mapping[str, str], unit by name, where the log states one
+
+    Returns
+    -------
+    str or None
+    """
     texts = [units.get(name, ""), *re.findall(r"[\[({](.*?)[\])}]", name)]
     for text in texts:
         if unit := _UNIT_OF.get(text.strip().lower()):
@@ -275,9 +310,17 @@ def _by_shape(t: np.ndarray, path: Path, column: str) -> str:
     return unit
 
 
-def _of_text(texts: list[str | None]) -> tuple[np.ndarray, np.ndarray]:
-    """Times [ns] of dates with time of day, or of times of day, of which midnight begins another day; and
-    which rows (N,) bool hold none."""
+def times_of_texts(texts: list[str | None]) -> tuple[np.ndarray, np.ndarray]:
+    """Read dates with time of day, or times of day, of which midnight begins another day.
+
+    Parameters
+    ----------
+    texts : list of str or None
+
+    Returns
+    -------
+    tuple of times (N,) [ns] and of which (N,) bool are none
+    """
     times, bad = np.zeros(len(texts), np.int64), np.zeros(len(texts), bool)
     day, before = 0, -1
     for row, text in enumerate(texts):
@@ -297,7 +340,11 @@ def _parsed(text: str) -> tuple[int, bool]:
     """Time [ns] of a text, without a zone as if in UTC, and whether it is one of day; ValueError for none."""
     text = text.strip()
     if match := _TIME_OF_DAY.fullmatch(text):
-        return _clock_ns(*match.groups()), True
+        days, *clock = match.groups()
+        return int(days or 0) * 86_400 * 10**9 + _clock_ns(*clock), days is None
+    if match := _OF_LOGGER.fullmatch(text):
+        days, *clock = match.groups()
+        return int(days or 0) * 86_400 * 10**9 + _clock_ns(*clock), days is None
     if match := _ELAPSED.fullmatch(text):
         minutes, seconds, rest = match.groups()
         return int(minutes) * 60 * 10**9 + _clock_ns("0", "0", seconds, rest), False
@@ -318,7 +365,8 @@ def _parsed(text: str) -> tuple[int, bool]:
 
 def _iso_date(part: Mapping[str, str | None]) -> str:
     """The date of a text in ISO 8601; of 04/22/2026 the month is the part that may be one."""
-    year, month, day = part["y"] or part["y2"], part["m"] or part["m2"] or "", part["d"] or part["d2"]
+    year = f"20{part['y'] or part['y2']}"[-4:]
+    month, day = part["m"] or part["m2"] or "", part["d"] or part["d2"]
     if not month.isdigit():
         month = next((str(k) for k, name in enumerate(_MONTHS, 1) if re.match(name, month.lower())), "")
     if month.isdigit() and int(month) > 12:

@@ -37,6 +37,11 @@ _ANGLES = {
         "degré",
         "degrés",
         "degre",
+        "grados",
+        "gradi",
+        "graus",
+        "graden",
+        "grader",
         "°",
         "º",
     ),
@@ -86,13 +91,17 @@ _QUALIFIERS = frozenset(
 """Words behind a unit that say nothing of it."""
 _BRACKETS = re.compile(r"[\[({<]([^\])}>]*)[\])}>]")
 _IN = re.compile(r"[\s_,/](?:in|unit|einheit)[\s_:]+([^\s_].*)$", re.IGNORECASE)
+_SEPARATOR = re.compile(
+    r"[.:\\](?=\w)|/(?!(?:s|sec|second|sek|sekunde|min|minute|h|hr|std|dt|ms|g|\d+)(?![a-z]))", re.IGNORECASE
+)
+"""Signs between the parts of a signal's path, and no sign within a unit."""
 _TOKEN = re.compile(r"°|º|[A-Z]+(?![a-z])|[A-Z]?[a-zäöüß]+|\d+")
 DIMENSIONS = {"speed": "m/s", "input": "rad", "output": "rad/s"}
 """By role: the SI unit of its signal."""
 _NAMES = {
     "speed": ("m/s", "km/h", "mph", "kn", "ft/s", "cm/s", "mm/s"),
     "input": ("rad", "deg", "mrad", "gon", "turn"),
-    "output": ("rad/s", "deg/s", "mrad/s", "mdeg/s", "deg/min", "rpm"),
+    "output": ("rad/s", "deg/s", "mrad/s", "mdeg/s", "gon/s", "deg/min", "rpm"),
 }
 """By role: the units as ``units.py`` names them."""
 
@@ -132,6 +141,27 @@ def tokens(text: str) -> list[str]:
     (['vehicle', 'speed', 'kph'], ['gierrate', '°', 's'])
     """
     return [word.lower() for word in _TOKEN.findall(text)]
+
+
+def split_name(name: str) -> tuple[str, str]:
+    """Split a name into its message, topic or group, and the signal's own name.
+
+    Parameters
+    ----------
+    name : str
+
+    Returns
+    -------
+    tuple of str, the first is empty where there is none
+
+    Examples
+    --------
+    >>> split_name("/imu/rate_z"), split_name("ESP::Yaw [0.1 deg/s]"), split_name("v in m/s")
+    (('/imu', 'rate_z'), ('ESP:', 'Yaw [0.1 deg/s]'), ('', 'v in m/s'))
+    """
+    bare = _BRACKETS.sub(lambda match: "\0" * len(match[0]), name)
+    at = max((match.start() for match in _SEPARATOR.finditer(bare)), default=-1)
+    return name[: max(at, 0)], name[at + 1 :]
 
 
 def unit_of_text(text: str, role: str) -> str | None:
@@ -185,7 +215,7 @@ def _by_pint(text: str, role: str) -> str | None:
     registry = _pint()
     try:
         unit = registry.parse_units(text.replace("°", "deg"))
-        is_angle = any("radian" in part or "degree" in part for part in unit._units)
+        is_angle = any(re.search("radian|degree|arc(min|sec)", part) for part in unit._units)
         if role != "speed" and not is_angle:
             return None  # pint takes an angle for a plain number: rad/s would be Hz
         factor = float(registry.Quantity(1.0, unit).to(DIMENSIONS[role]).magnitude)

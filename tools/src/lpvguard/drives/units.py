@@ -15,6 +15,7 @@ _UNITS = {
     "deg/s": ("rate", np.pi / 180),
     "mrad/s": ("rate", 1e-3),
     "mdeg/s": ("rate", np.pi / 180e3),
+    "gon/s": ("rate", np.pi / 200),
     "deg/min": ("rate", np.pi / 180 / 60),
     "rpm": ("rate", 2 * np.pi / 60),
     "m/s": ("speed", 1.0),

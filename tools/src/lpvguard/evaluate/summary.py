@@ -31,7 +31,7 @@ def summary(evaluation: dict[str, Any]) -> list[str]:
         groups[kind].append(f"{row_name(row)} ({row['found']} of {row['counted']}{after})")
     starts, detected = (sum(row[key] for row in counted) for key in ("counted", "found"))
     lines = [
-        _alarms(evaluation),
+        alarm_words(evaluation),
         f"faults: {detected} of {starts} starts found within {evaluation['injection']['within_s']:g} s of "
         f"judged, excited driving; of {len(counted)} faults "
         + ", ".join(f"{len(names)} {kind}" for kind, names in groups.items()),
@@ -50,8 +50,17 @@ def _first(names: list[str]) -> str:
     return "; ".join(names[:NAMED]) + more
 
 
-def _alarms(evaluation: dict[str, Any]) -> str:
-    """Promised and measured alarms per hour without a fault."""
+def alarm_words(evaluation: dict[str, Any]) -> str:
+    """Say how many alarms an hour without a fault are promised, and how many were measured.
+
+    Parameters
+    ----------
+    evaluation : dict, JSON of `lpvguard evaluate`
+
+    Returns
+    -------
+    str
+    """
     counts = evaluation["false_alarms"]["all"]
     stated, hours = evaluation["stated_rates"][MONITOR], counts["judged_h"]
     promised = "no rate is promised, because too few drives calibrate"

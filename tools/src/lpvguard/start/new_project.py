@@ -38,7 +38,7 @@ from .readings import ROLES, Known
 from .redundant import Redundant, redundant
 from .signal_map_text import COLUMNS, Signals, comment, sign_bits_of, signal_map_text
 from .signals import Proposal, Recording, proposed
-from .splits import day, splits_of
+from .splits import day, split_words, splits_of
 from .steady_turn import Driven, steady_turn
 from .templates import TEMPLATES, VEHICLE_PARAMETERS, Scale
 
@@ -146,6 +146,7 @@ def new(
             raise InputError("new", "LOG", f"no drive remains of the logs ({reason})", "logs of driving")
         project, text, notes = _project(name, model, taken, folder / "drives", list(names), Ts, known)
         splits = splits_of(_speeds(project, folder / "drives", names), names, days)
+        notes.append(split_words(splits, names, days))
         artefacts.write_files(
             folder,
             {
@@ -441,7 +442,7 @@ def _with_highest_frequency(text: str, Ts: float, name: str) -> tuple[Project, s
     for f_max in (3.2, 2.5, 2.0, 1.6, 1.25, 1.0, 0.8):
         if f_max > 0.2 / Ts:
             continue
-        tried = text.replace("F_MAX", f"{f_max:g}")
+        tried = text.replace("F_MAX", f"{f_max:g}").replace("F_RAD", f"{2 * np.pi * f_max:.3g}")
         try:
             project = parse_project(tomllib.loads(tried), name)
             Estimator.from_project(project, NominalModel(project))
@@ -524,8 +525,8 @@ def _text(
         'estimator = "hann"',
         "periods = 3",
         "bins_per_decade = 6",
-        f"f_min_hz = {grid[0]:g}",
-        "f_max_hz = F_MAX      # at most a fifth of the rate, and what the core can compute",
+        f"f_min_hz = {grid[0]:g}      # {2 * np.pi * grid[0]:.3g} rad/s",
+        "f_max_hz = F_MAX      # F_RAD rad/s: at most a fifth of the rate, and what the core can compute",
         f"speed_tolerance = {grid[1]:g}      # within a frame",
         "",
         "[bounds]",

@@ -13,7 +13,7 @@ import numpy as np
 
 from ..base.errors import InputError
 from ..can.sign_bits import SIGN_BIT
-from ..drives.unit_names import tokens, unit_of_text, units_in_name, without_unit
+from ..drives.unit_names import split_name, tokens, unit_of_text, units_in_name, without_unit
 from .readings import ROLES, Known, decided
 from .steady_turn import Driven, steady_turn
 from .words import (
@@ -47,6 +47,8 @@ PART = 0.2
 """Largest spread of these digits, as a share of the coarse signal's."""
 MOST_NAMES = 40
 """So many signals a message names."""
+FOLDS = 5
+"""A signal that is never negative and comes back to 0 so often is a magnitude."""
 LEAST_SAMPLES = 20
 """A recording with fewer samples of all three signals says nothing."""
 
@@ -83,7 +85,7 @@ def ranked(role: str, names: Iterable[str], units: Mapping[str, str] | None = No
     """Names that may have the role, the likeliest first; ``units``: those that are stated, by name."""
     scores = {}
     for name in names:
-        message, _, last = name.rpartition(".")
+        message, last = split_name(name)
         low = re.sub(r"[\s/-]+", "_", last.lower())
         unit = (units or {}).get(name, "")
         if NO_MEASUREMENT.search(low) or re.search(NEVER[role], low):
@@ -143,6 +145,9 @@ def proposed(
             recordings = [_added(r, names[role], parts) for r in recordings]
     for role in ("input", "output"):
         _require_sign(role, names[role], common, recordings)
+    _require_no_magnitudes(
+        {r: names[r] for r in ("input", "output") if chosen.get(r) is None}, names, recordings
+    )
     choices = {}
     for role in ROLES:
         choices[role], evidence = _choices(role, names[role], recordings, (units or {}).get(role))
@@ -152,6 +157,8 @@ def proposed(
         raise InputError(
             "new", ", ".join(names.values()), "are nowhere recorded at the same time", "one clock for all"
         )
+    if all(np.quantile(d.v, 0.9) <= 0 for d in drives):
+        raise InputError("new", "--speed", f"{names['speed']} is not positive", "a speed, positive ahead")
     turn = steady_turn(drives)
     known = replace(known, at_steering_wheel=at_steering_wheel(names["input"]))
     reading, unit_evidence = decided(turn, drives, choices, known)
@@ -170,14 +177,14 @@ def proposed(
 
 def _fine_parts(name: str, common: list[str], recordings: list[Recording]) -> tuple[str, ...]:
     """Signals of the same message and unit that a car adds to a coarse one, as a fraction of its step."""
-    message, _, last = name.rpartition(".")
+    message, last = split_name(name)
     first = tokens(last)[0]
 
     def spread(signal: str) -> float:
         return max(float(np.nanmax(r.values[signal]) - np.nanmin(r.values[signal])) for r in recordings)
 
     def is_part(other: str) -> bool:
-        other_message, _, low = other.lower().rpartition(".")
+        other_message, low = split_name(other.lower())
         same = (
             other_message == message.lower()
             and tokens(low)[:1] == [first]
@@ -275,9 +282,9 @@ def _require_sign(role: str, name: str, common: list[str], recordings: list[Reco
     """Raise InputError where a signal is a magnitude whose sign stands in a bit of its message."""
     if min(float(np.nanmin(r.values[name])) for r in recordings) < 0:
         return
-    message, _, signal = name.rpartition(".")
+    message, signal = split_name(name)
     for other in common:
-        beside, _, bit = other.rpartition(".")
+        beside, bit = split_name(other)
         values = np.concatenate([r.values[other] for r in recordings])
         is_bit = np.nanmin(values) == 0 and np.nanmax(values) == 1
         if beside == message and other != name and is_bit and SIGN_BIT.search(bit.lower()):
@@ -287,6 +294,34 @@ def _require_sign(role: str, name: str, common: list[str], recordings: list[Reco
                 f"{name} is never negative; {other} holds its sign",
                 f"one signal with its sign, for example a table with {signal} negated where {bit} is set",
             )
+
+
+def _require_no_magnitudes(
+    proposed: Mapping[str, str], names: Mapping[str, str], recordings: list[Recording]
+) -> None:
+    """Raise InputError where steering or yaw rate, or both, are magnitudes, which turn back at 0."""
+    folded = [
+        role for role, name in proposed.items() if _folds([r.values[name] for r in recordings]) >= FOLDS
+    ]
+    signed = any(np.mean(r.values[names[role]] < 0) > 0.1 for r in recordings for role in ("input", "output"))
+    if len(folded) == 2 or (folded and signed):
+        said = " and ".join(names[role] for role in folded)
+        raise InputError(
+            "new",
+            ", ".join(f"--{role}" for role in folded),
+            f"{said}: never negative, though near 0 many times",
+            "signals with their signs, or these options with the names where all turns were to one side",
+        )
+
+
+def _folds(values: list[np.ndarray]) -> int:
+    """How often a signal comes back to 0 from a third of its size; 0 where it is ever negative."""
+    known = [x[np.isfinite(x)] for x in values]
+    if min(x.min(initial=0.0) for x in known) < 0:
+        return 0
+    large = float(np.quantile(np.concatenate(known), 0.99))
+    away = [x[(x < 0.05 * large) | (x > 0.3 * large)] > 0.3 * large for x in known]
+    return sum(int((a[:-1] & ~a[1:]).sum()) for a in away)
 
 
 def _some(names: Sequence[str]) -> str:
@@ -318,4 +353,6 @@ def _named(
         what = f"{still[0]} never moves" if still else f"no name looks like the {role}"
         raise InputError("new", option, what, f"{option} NAME, one of {_some(moving or common)}")
     others = f"; others: {', '.join(candidates[1:4])}" if candidates[1:] else ""
-    return candidates[0], [f"by its name{others}"]
+    asked_for = REQUEST.search(split_name(candidates[0])[1].lower())
+    command = ", which says a command and no measurement" if asked_for else ""
+    return candidates[0], [f"by its name{command}{others}"]

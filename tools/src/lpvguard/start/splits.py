@@ -73,6 +73,28 @@ def splits_of(
     return {n: "train" if by[n] in setting else "valid" for n in names}
 
 
+def split_words(splits: Mapping[str, str], names: Mapping[str, str], days: Mapping[str, str]) -> str:
+    """Say which half is how large, and by what the recordings were parted.
+
+    Parameters
+    ----------
+    splits : Mapping, train or valid by drive
+    names : Mapping, recording by drive
+    days : Mapping, day by recording
+
+    Returns
+    -------
+    str
+    """
+    setting = sum(split == "train" for split in splits.values())
+    by = ["speed"]
+    for what, told in (("day", days.get), ("surface", _surface)):
+        if kinds := sorted({kind for r in set(names.values()) if (kind := told(r))}):
+            by.append(f"{what} ({', '.join(kinds)})")
+    parted = " and ".join(by)
+    return f"{setting} drives set the bounds, {len(splits) - setting} calibrate, parted by {parted}"
+
+
 def _surface(recording: str) -> str:
     """Surface that a recording's name tells; empty without one."""
     surface = SURFACE.search(recording.lower())

@@ -20,25 +20,25 @@ WORDS = {
         _any(
             r"linear_(vel_)?x (^|_)v_?x(_|$) speed spd veloc (^|_)vel(_|$) ^vel geschw vitesse "
             r"(^|_)v_signal veh_?v_ ^(u|v_?long|sog|tempo|tacho)(_|$) ^h\u0131z snelheid hastighet "
-            r"rychlost pr[eę]dko[sś]"
+            r"rychlost pr[eę]dko[sś] velocid velocit 车速"
         ),
     ),
     "input": (
         _any(r"^(delta|steer|swa)$ road_?wheel (steer|steering)_?(wheel|whl)?_?ang(le)?(_|$)"),
         _any(
-            r"steer (^|_)delta(_|$) wheel_?angle lenk volant braquage (^|_)sterz sas_angle "
+            r"steer (^|_)delta(_|$) wheel_?angle lenk volant braquage (^|_)sterz (^|_)(lws|sas)_(ang|wink) "
             r"internal_?sas _lrw$ ste(pin|whl).*_an st(r|rg|w)?_?(wheel|whl|w)?_?angl? whl_?ang "
             r"^l(r?w|ws)$ (^sw|hand_?wheel)_?(pos|ang|deg|rad) ^(hwa|rwa)(_|$) "
-            r"(servo|t[iy]re)_?(pos|angle) direcci[oó]n stuur ratt_?v skret kierown"
+            r"(servo|t[iy]re)_?(pos|angle) direcci[oó]n stuur ratt_?v skret kierown sterzo 方向盘 转角"
         ),
     ),
     "output": (
         _any(r"^(r|w_?z|yaw_?rate)$"),
         _any(
             r"yaw_?(rate|rte?|r$|vel|speed|spd|w_) ang(ular)?_?(vel|rate|velocity|speed)_?z "
-            r"gyro?(scope)?_?z omega_?z ^omega$ psi_?(dot|punkt|p$) ^d_?psi(_?dt)?$ ^gz(_|$) ^av_?z$ "
+            r"gyro?(scope)?_?z omega_?z ^omega$ psi_?(dot|punkt|p$) ^d_?psi(_?dt)?$ ^gz(_|$) ^a_?v_?z$ "
             r"rot(ation)?_?(rate|speed|vel)?_?z(_|$) (^|_)rate_?(\w+_)?z(_|$) z_?(axis_)?rate_of_rot "
-            r"(heading|turn)_?(rate|speed) (^|_)gyro$ _wz(_|$) gier lacet imbard gui[nñ] girasj"
+            r"(heading|turn)_?(rate|speed) (^|_)gyro$ _wz(_|$) gier lacet imbard gui[nñ] gir(asj|hast) 横摆"
         ),
     ),
 }
@@ -98,7 +98,7 @@ NO_MEASUREMENT = re.compile(
     _any(
         r"checksum crc counter cnt qf$ qbit valid status (^|_)sta(_|$) stat$ fault error button "
         r"icon mode units?$ sign(?!al) lamp force _rq offse?t direction (^|_)vz(_|$) limit diag "
-        r"init group bias rate_?v$ speed_?v$ ack$ pressed reboot reduced"
+        r"init group bias rate_?v$ speed_?v$ ack$ pressed reboot reduced dtcs?$"
     )
 )
 """In names of what tells of a measurement, and is none."""
@@ -117,7 +117,9 @@ OTHERS_MESSAGE = re.compile(
 )
 """In names of messages that carry a signal for another purpose."""
 
-STEERING_WHEEL = re.compile(_any(r"steering_?wheel hand_?wheel lenkrad ^swa _swa (^|_)lw[iz]?(_|$) volant"))
+STEERING_WHEEL = re.compile(
+    _any(r"steering_?wheel hand_?wheel lenkrad ^swa _swa (^|_)lw[iz]?(_|$) volant rattv stuurw 方向盘")
+)
 ROAD_WHEEL = re.compile(_any(r"road_?wheel front_?wheel tyre tire"))
 """Names of an angle at the steering wheel, and of one at the road wheels."""
 FRACTION = re.compile(_any(r"frac (^|_)fine(_|$) _hp$"))

@@ -10,6 +10,7 @@ from ...base.claims import claim_words, worst_frozen
 from ...base.errors import InputError
 from ...drives.tables import EXPERIMENTS
 from ...evaluate.comparison import HELD_OUT
+from ...evaluate.summary import alarm_words
 from ...identify.identification import StoredIdentification
 from ...identify.premise import premise
 from ...replay.replayer import Alarm
@@ -45,10 +46,21 @@ def overview_section(
     groups = stored.manifest["drives"]
     judged = {d.name for d in summaries if d.judged_s > 0}
     independent = len(judged - set(groups["bounds"]) - set(groups["calibration"]))
-    return f"""<h2>At a glance</h2>{_headline(grid, summaries, replayed, independent)}
+    return f"""<h2>At a glance</h2>{_rate(stored, evaluation)}
+{_headline(grid, summaries, replayed, independent)}
 <div class="glance" id="glance"><div class="wide">{_good_for(grid)}{shown}</div>
 <div class="cards">{_alarms(summaries, alarms, _independence(independent, evaluation))}\
 {_promise(stored, design)}{_to_do(grid, summaries)}</div></div>"""
+
+
+def _rate(stored: StoredIdentification, evaluation: dict | None) -> str:
+    """Alarms an hour without a fault: promised and, where an evaluation is at hand, measured."""
+    words = (
+        f"alarms without a fault: {stored.calibration.claim()}; none measured, as --evaluation tells them"
+        if evaluation is None
+        else alarm_words(evaluation)
+    )
+    return f'<p id="alarm-rate">{escape(words[0].upper() + words[1:])}.</p>'
 
 
 def _headline(
