@@ -1,4 +1,4 @@
-"""Tables in MATLAB files: one vector of numbers a column, as `save -v7` writes it.
+"""Read tables from MATLAB files of `save -v7`: each vector of numbers is a column.
 
 A damaged number makes scipy read foreign memory, because it indexes its table of types. This module therefore
 checks the variables' descriptions first. scipy then reads only sound vectors of numbers.
@@ -17,19 +17,19 @@ from ..base.errors import InputError
 
 EXPECTED = "vectors of one length, a variable a column (save -v7)"
 _SIZES = {1: 1, 2: 1, 3: 2, 4: 2, 5: 4, 6: 4, 7: 4, 9: 8, 12: 8, 13: 8}
-"""Type of numbers in the file -> bytes of one."""
+"""Number of bytes by the number type in the file."""
 _INT8, _INT32, _UINT32, _MATRIX, _COMPRESSED, _UTF8 = 1, 5, 6, 14, 15, 16
 _NUMBERS = range(6, 16)
-"""Classes of arrays of numbers: double, single, and integers of 8 to 64 bits."""
+"""Array classes with numbers: double, single, and integers of 8 to 64 bits."""
 _COMPLEX = 0x800
 _DESCRIBED = 4096
-"""Bytes of a compressed variable that hold its description."""
+"""Number of bytes at the start of a compressed variable that hold its description."""
 _DENSEST = 1032
 """Largest number of bytes that zlib unpacks from one byte."""
 
 
 def read_matlab(path: Path) -> pa.Table:
-    """Read the vectors of numbers among the variables.
+    """Read all variables that are vectors of numbers.
 
     Parameters
     ----------
@@ -37,12 +37,12 @@ def read_matlab(path: Path) -> pa.Table:
 
     Returns
     -------
-    Table, a column a vector
+    Table, one column for each vector
 
     Raises
     ------
     InputError
-        If their lengths differ, if one is damaged, and for HDF5 files of version 7.3.
+        If the vectors' lengths differ, if a vector is damaged, or if the file is an HDF5 file of version 7.3.
     """
     try:
         content = path.read_bytes()
@@ -55,12 +55,12 @@ def read_matlab(path: Path) -> pa.Table:
     if len({len(v) for v in columns.values()}) > 1:
         lengths = ", ".join(f"{n} {len(v)}" for n, v in columns.items())
         raise InputError(path, "", f"variables of different lengths ({lengths})", EXPECTED)
-    # MATLAB's file keeps the machine's byte order; Arrow takes the native one.
+    # A MATLAB file has the byte order of its writer; Arrow needs the native byte order.
     return pa.table({n: v.astype(v.dtype.newbyteorder("=")) for n, v in columns.items()})
 
 
 def _vectors(content: bytes) -> list[str] | None:
-    """Names of the vectors of numbers in a file of version 5 (to 7.2); None for another version.
+    """Names of the vectors of numbers in a file of version 5 to 7.2; None for another version.
 
     Raises ValueError for a damaged file.
     """
@@ -87,15 +87,15 @@ def _vectors(content: bytes) -> list[str] | None:
 
 
 def _tag(content: bytes, at: int, order: str) -> tuple[int, int, int]:
-    """Type of an element, start of its data, and their number of bytes."""
+    """Read the tag of an element: its type, the start of its data, and the number of data bytes."""
     first, second = (int(word) for word in np.frombuffer(content, order + "u4", 2, at))
     return (first & 0xFFFF, at + 4, first >> 16) if first >> 16 else (first, at + 8, second)
 
 
 def _vector(element: bytes, size: int, order: str) -> str:
-    """Name of a variable that is a vector of numbers, else "".
+    """Name of a variable if it is a vector of numbers, otherwise "".
 
-    Raises ValueError where its parts contradict its description.
+    Raises ValueError if the variable's parts contradict its description.
     """
     at, parts = 0, []
     for types in ({_UINT32}, {_INT32}, {_INT8, _UTF8}):

@@ -52,8 +52,8 @@ from .plants import DesignProblem, design_settings, vehicle_at
 from .schedule import FrozenLoop, fit_by_pairs
 
 FEWEST_PAIRS, MOST_PAIRS = 2, 19
-"""Least and largest number of pole pairs that are tried for each demand. Vehicle and reference model together
-have at least the least number."""
+"""Least and largest number of pole pairs that are tried for each demand. Fewer pairs than those of the
+vehicle and the reference model together are not enough."""
 PATIENCE = 2
 """Number of further pairs that are tried after the best number so far."""
 CERTIFICATE_RTOL = 1e-6
@@ -97,7 +97,7 @@ class Design:
     certificates : list of (speed [m/s], RobustPerformance), nodes and midpoints in order
     full_order : int, order before the reduction
     off_grid : (speed [m/s], RobustPerformance), the worst certificate between these speeds
-    moving : dict, certificate by claim about a moving speed; None: no proof found; empty: not requested
+    moving : dict, certificate by claim about a moving speed (None without a proof), empty if not requested
     further : FurtherCertificates or None, about margins, a varying Delta and limits; None: not requested
     """
 

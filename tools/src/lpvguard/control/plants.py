@@ -2,8 +2,8 @@
 
 Everything is discrete from the start: the vehicle is sampled exactly at Ts, the weights by Tustin's map.
 Whole samples of the model's input delay lie before the vehicle; a fraction of a sample lies within it. The
-performance weights W_u have no delay. The weight of input k is the first input's weight times the ratio of
-the first input's rate limit to the rate limit of input k.
+performance weights W_u have no delay. The weight of input k is W_u1 rate_1 / rate_k, with the first input's
+weight W_u1 and the inputs' rate limits.
 """
 
 from __future__ import annotations
@@ -130,7 +130,7 @@ class DesignProblem:
 
         Without drives for the noise, W_n is the standard deviation of the sensors' noise. W_w then also
         contains this noise. Raises InputError if identification and design have different uncertainty
-        structures. K_o needs S1_diagonal; K_i and K_is need S1; K_inf accepts both. With a single output, K_o
+        structures. K_o needs S1_diagonal. K_i and K_is need S1. K_inf accepts both. With a single output, K_o
         also accepts S1.
         """
         stored, settings, fitted = self.stored, self.settings, self.stored.fitted
