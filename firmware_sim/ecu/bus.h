@@ -1,4 +1,4 @@
-/* bus.h -- a CAN bus in three calls: a driver's own open fills a bus_t, then send and receive.
+/* bus.h -- a CAN bus in three calls: the open function of a driver fills a bus_t, then send and receive.
  *
  * Drivers: firmware_sim/sim/memory_bus.hpp (deterministic, no kernel), firmware_sim/ports/linux/socketcan.h.
  * Neither call blocks. Times are microseconds of the firmware's clock. */
@@ -16,10 +16,10 @@ typedef struct bus_t {
     bool (*receive_frame)(void* driver, int64_t now_us, lpvg_can_frame_t* frame);
 } bus_t;
 
-/* False when the driver could not take the frame (queue full, bus off). */
+/* Returns false if the driver could not take the frame (queue full, bus off). */
 static inline bool bus_send(const bus_t* bus, const lpvg_can_frame_t* frame) { return bus->send_frame(bus->driver, frame); }
 
-/* False when no frame has arrived by now_us. Frames come in order of arrival, with their time in t_us. */
+/* Returns false if no frame has arrived by now_us. Frames come in order of arrival, with their time in t_us. */
 static inline bool bus_receive(const bus_t* bus, int64_t now_us, lpvg_can_frame_t* frame) {
     return bus->receive_frame(bus->driver, now_us, frame);
 }

@@ -1,4 +1,4 @@
-/* filter.h -- which frames a firmware's driver hands on: those that a rule of its vehicle matches, authenticators, and error reports. */
+/* filter.h -- filter of a firmware's driver: it passes frames that match a rule of the vehicle, authenticators, and error reports. */
 #ifndef LPVGUARD_FIRMWARE_FILTER_H
 #define LPVGUARD_FIRMWARE_FILTER_H
 
@@ -7,7 +7,7 @@
 
 #include "lpvguard/bus.h"
 
-#define FILTER_ANY_PRIORITY 0xE3FFFFFFu /* flags and identifier but the priority of J1939 */
+#define FILTER_ANY_PRIORITY 0xE3FFFFFFu /* flags and identifier without the priority of J1939 */
 
 static inline bool filter_passes(const lpvg_can_frame_t* frame) {
     size_t i;

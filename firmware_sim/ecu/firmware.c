@@ -8,7 +8,7 @@
 const lpvg_ecu_config_t firmware_config = {
     .engage = true,
     .report_only = 0u,
-    /* Track of the truck's rear axle. The limits hold bank (5 mrad), roll and 1/16 km/h wheel speeds many times over. */
+    /* Track of the truck's rear axle. The limits are many times the effects of bank (5 mrad), roll and 1/16 km/h steps. */
     .plausibility = {.track_m = 2.07f, .speed_min_mps = 5.0f, .lateral_mps2 = 1.5f, .yaw_rps = 0.15f, .confirm = 100u},
     /* Brake lag 0.1 s and delay 0.04 s. */
     .actuator = {.lag_s = 0.14f, .tolerance = 0.04f, .confirm = 30u, .relative = 0.32f},
@@ -55,7 +55,7 @@ lpvg_status_t firmware_init(firmware_t* self, const bus_t* bus, const lpvg_ecu_c
     return lpvg_ecu_init(&self->ecu, &lpvg_coeff, &lpvg_control_coeff, &own, now_us);
 }
 
-/* Whether a received frame is for the ECU: with a key, a command waits for its authenticator. */
+/* Tells if a received frame is for the ECU. With a key, a command waits for its authenticator. */
 static bool passes(firmware_t* self, const lpvg_can_frame_t* received, lpvg_can_frame_t* out) {
     lpvg_can_auth_event_t event;
     if (!self->ecu.kept.config.authenticated) {

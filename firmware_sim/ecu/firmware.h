@@ -1,7 +1,7 @@
 /* firmware.h -- the guarded controller's firmware, the same on every target: bus -> authentication -> lpvg_ecu_step -> bus.
  *
- * Ports supply a clock, a bus driver, a call of firmware_tick every sample period of the vehicle, and one of firmware_idle in the time that
- * is left of it. */
+ * A port supplies a clock and a bus driver. It calls firmware_tick every sample period of the vehicle, and firmware_idle in the remaining
+ * time. */
 #ifndef LPVGUARD_FIRMWARE_H
 #define LPVGUARD_FIRMWARE_H
 
@@ -10,7 +10,7 @@
 #include "lpvguard/diagnosis.h"
 #include "lpvguard/ecu.h"
 
-/* A vehicle without the table of causes is monitored all the same. */
+/* A vehicle without the table of causes is also monitored. */
 #if __has_include("lpvguard_diagnosis.c")
 #define FIRMWARE_DIAGNOSES 1
 #else
@@ -19,11 +19,11 @@
 
 LPVG_EXTERN_C_BEGIN
 
-/* Frames taken in one tick; further ones wait for the next. A 250 kbit/s bus carries at most 20 in 10 ms. */
+/* Frames taken in one tick; further frames wait for the next tick. A 250 kbit/s bus carries at most 20 frames in 10 ms. */
 #define FIRMWARE_FRAMES_IN 32u
 #define FIRMWARE_PAIR_US 5000u /* longest time from a command to its authenticator */
 
-/* What both ends of the command message's authentication share. */
+/* Common data of both ends of the command message's authentication. */
 typedef struct firmware_key_t {
     lpvg_can_cmac_t cmac;
     void* context;      /* first argument of cmac */
@@ -33,7 +33,7 @@ typedef struct firmware_key_t {
 typedef struct firmware_t {
     lpvg_ecu_t ecu;
     const bus_t* bus;
-    lpvg_can_auth_t authentication; /* of the command message; not initialised without a key */
+    lpvg_can_auth_t authentication; /* authentication of the command message; not initialised without a key */
     lpvg_can_frame_t in[FIRMWARE_FRAMES_IN];
     uint32_t send_failures; /* saturating */
 #if FIRMWARE_DIAGNOSES
@@ -44,18 +44,18 @@ typedef struct firmware_t {
 /* The configuration that the simulator and the targets run: engagement is asked for, and every cause releases. */
 extern const lpvg_ecu_config_t firmware_config;
 
-/* Makes an end of the authentication of the vehicle's command message. Returns what lpvg_can_auth_init says. */
+/* Makes one end of the authentication of the vehicle's command message. Returns the result of lpvg_can_auth_init. */
 LPVG_NODISCARD lpvg_status_t firmware_authenticate(lpvg_can_auth_t* end, const firmware_key_t* key);
 
-/* Starts with the vehicle that is linked in. Without a key (NULL) every command is obeyed, and each report says "not authenticated".
- * Returns what lpvg_ecu_init, lpvg_can_auth_init and lpvg_diagnosis_init say, bad_argument for another NULL. */
+/* Starts with the linked vehicle. Without a key (NULL), every command is obeyed, and each report says "not authenticated".
+ * Returns the status of lpvg_ecu_init, lpvg_can_auth_init or lpvg_diagnosis_init; bad_argument for another NULL. */
 LPVG_NODISCARD lpvg_status_t firmware_init(firmware_t* self, const bus_t* bus, const lpvg_ecu_config_t* config, const firmware_key_t* key,
                                            int64_t now_us);
 
-/* One sample period. Returns what lpvg_ecu_step says. */
+/* Runs one sample period. Returns the result of lpvg_ecu_step. */
 LPVG_NODISCARD lpvg_status_t firmware_tick(firmware_t* self, int64_t now_us);
 
-/* After a tick, before the next, where nothing waits for it: an alarm's cause is looked for, and DM1 tells it. */
+/* Call in idle time between two ticks. Searches the cause of an alarm, which DM1 then reports. */
 void firmware_idle(firmware_t* self);
 
 LPVG_EXTERN_C_END

@@ -1,4 +1,4 @@
-// The simulator with LCM (CMake: LPVG_BUILD_LCM).
+// The publisher of a simulator with LCM (CMake: LPVG_BUILD_LCM).
 #include "publisher_lcm.hpp"
 
 #include <algorithm>

@@ -1,4 +1,4 @@
-/// @file publisher_lcm.hpp -- a Publisher on an LCM that others of the same process may share (memq:// reaches nobody else).
+/// @file publisher_lcm.hpp -- a Publisher on an LCM object that other code of the same process may share (memq:// needs this).
 #pragma once
 
 #include <memory>
@@ -9,7 +9,7 @@
 
 namespace lpvguard_sim {
 
-/// take() also calls whoever else has subscribed there. Throws std::runtime_error when commands cannot be subscribed to.
+/// take() also calls other subscribers of this object. Throws std::runtime_error if commands cannot be subscribed to.
 std::unique_ptr<Publisher> publisher_on(std::shared_ptr<lcm::LCM> lcm);
 
 }  // namespace lpvguard_sim

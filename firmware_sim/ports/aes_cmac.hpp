@@ -1,5 +1,5 @@
-// AES-128-CMAC (FIPS 197, NIST SP 800-38B) for simulation, tests and the count of what authentication costs without hardware. Its time
-// depends on the key through the S-box: an ECU has its own module, or a library made for it, behind the hook of authentication.h.
+// AES-128-CMAC (FIPS 197, NIST SP 800-38B) for simulation and tests, and to measure the cost of authentication without hardware. Its time
+// depends on the key through the S-box. An ECU needs its own module or a suitable library behind the hook of authentication.h.
 #pragma once
 
 #include <cstddef>
@@ -71,7 +71,7 @@ public:
         encrypt(out);
     }
 
-    // As lpvg_can_cmac_t; context: the object.
+    // Has the type lpvg_can_cmac_t; context is the object.
     static bool hook(void* context, const uint8_t* data, std::size_t n, uint8_t mac[16]) {
         uint8_t out[16];
         static_cast<const AesCmac*>(context)->mac(data, n, out);
@@ -82,7 +82,7 @@ public:
 private:
     static constexpr uint8_t twice(uint8_t x) { return static_cast<uint8_t>((uint32_t{x} << 1U) ^ ((x & 0x80U) != 0U ? 0x1BU : 0U)); }
 
-    // The inverse in GF(2^8), then the affine map: 3 generates the field, and 1/3 runs through the inverses.
+    // Computes the inverse in GF(2^8), then the affine map. Powers of 3 run through the field, and powers of 1/3 through the inverses.
     struct Box {
         uint8_t entry[256];
         constexpr Box() : entry() {
@@ -113,7 +113,7 @@ private:
         }
     }
 
-    // Times x in GF(2^128).
+    // Multiplies by x in GF(2^128).
     static void shift(uint8_t (&block)[16]) {
         const bool carry = (block[0] & 0x80U) != 0U;
         for (std::size_t i = 0U; i < 15U; ++i) {

@@ -1,7 +1,7 @@
-// dense_controller.hpp -- the law of controller.h with full matrices at every node, for what its realisation saves.
+// dense_controller.hpp -- the control law of controller.h with full matrices at every node, to measure the saving of its realisation.
 //
 // Node speeds, interpolation, limits, anti-windup and carry are the same. A - I, B, C and L are full and interpolated. Each row
-// is summed at the node below and at the one above. Filled from the vehicle's coefficients, so that both give the same demand.
+// is summed at the lower and at the upper node. The vehicle's coefficients fill the matrices, so that both laws give the same demand.
 #ifndef LPVGUARD_PORTS_DENSE_CONTROLLER_HPP
 #define LPVGUARD_PORTS_DENSE_CONTROLLER_HPP
 

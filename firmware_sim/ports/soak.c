@@ -1,20 +1,20 @@
 /* soak.c -- the firmware over hours of simulated driving, with random faults of bus, clock and vehicle, on one target. Plain C99, no libc.
  *
- * The vehicle is the nominal model, a little off from hour to hour, at speeds within, above and below the controller's range. It is a
- * check of rules, not of detection. The rules, each counted where it is broken:
+ * The vehicle is the nominal model with small changes from hour to hour, at speeds within, above and below the controller's range. This
+ * program checks rules, not detection. It counts the violations of each rule:
  *
- *   report    a taken tick sends one report, protected, with the next counter
+ *   report    each accepted tick sends one protected report with the next counter
  *   live      supervision is live again SETTLED_MS after the newest fault of the bus or the clock
- *   not_live  it is not while a needed message has been lost longer than LOST_MS
- *   verdict   neither valid nor degraded while supervision has not been live for STALE_MS; invalid stays until it is acknowledged
+ *   not_live  supervision is not live while a needed message has been lost for longer than LOST_MS
+ *   verdict   the verdict is not valid or degraded if supervision has not been live for STALE_MS; invalid stays until acknowledged
  *   release   the demand is zero RELEASE_MS after the end of an engagement
- *   alarm     none begins but for a fault of the vehicle, up to ALARM_MS after its end
- *   missed    a fault of the vehicle during FOUND_MS of engaged driving, without another fault, ends with an alarm
- *   engaged   without faults and within the controller's range it is engaged from ENGAGED_MS after the start on
+ *   alarm     an alarm begins only during a fault of the vehicle, or up to ALARM_MS after its end
+ *   missed    a fault of the vehicle during FOUND_MS of engaged driving, without another fault, causes an alarm
+ *   engaged   without faults and within the controller's range, the loop is engaged from ENGAGED_MS after the start on
  *
- * Writes a line an hour: what was driven, said and counted, a digest of every frame sent, the instructions of the worst tick and the
- * depth of the stack. The lines of one length and seed are the same on every target but for these two. soak_input.h
- * states SOAK_HOURS, SOAK_HOUR_MS (shorter in a short form), SOAK_SEED and SOAK_FAULTS (0u: none, and speeds within the range). */
+ * Each hour writes one line: the driving, the messages and counts, a digest of all sent frames, the instructions of the worst tick and
+ * the depth of the stack. Except for the last two, the lines for one length and seed are the same on every target. soak_input.h
+ * states SOAK_HOURS, SOAK_HOUR_MS (shorter in a short run), SOAK_SEED and SOAK_FAULTS (0u: no faults, and speeds within the range). */
 #include <string.h>
 
 #include "firmware.h"
@@ -66,7 +66,7 @@ typedef struct hour_t {
     uint32_t ticks, engaged, valid, judged, faults, vehicle_faults, alarms, frames_in, frames_out, refused, worst;
 } hour_t;
 
-/* All state is static: what grows would not link. */
+/* All state is static, so memory cannot grow. */
 static firmware_t firmware;
 static lpvg_model_t model;
 static lpvg_can_frame_t queue[FRAMES];
@@ -180,15 +180,15 @@ static struct {
     fault_t kind;
     uint8_t message; /* 0 VDC2, 1 GUARD_IN, 2 EBC2, 3 EBC1 */
     int32_t left_ms, wait_ms;
-    int32_t lost_ms;  /* how long the message has been lost */
-    int32_t quiet_ms; /* since the newest fault */
+    int32_t lost_ms;  /* time for which the message has been lost */
+    int32_t quiet_ms; /* time since the newest fault */
     lpvg_can_frame_t held;
     bool holds;
 } fault = {.wait_ms = 20000};
 
 static struct {
     int32_t left_ms, wait_ms, since_ms;
-    int32_t engaged_ms, longest_ms; /* without a fault of the bus; the longest such time */
+    int32_t engaged_ms, longest_ms; /* engaged time without a fault of the bus; longest such time */
     float gain;
     bool alarmed;
 } wear = {.wait_ms = 600000, .since_ms = ALARM_MS, .gain = 1.0f};
@@ -205,7 +205,7 @@ static void next_faults(void) {
         fault.wait_ms -= SOAK_FAULTS > 0u ? TICK_MS : 0;
         if (fault.wait_ms <= 0) {
             fault.kind = (fault_t)(1u + below((uint32_t)fault_count - 1u));
-            /* What no check of a frame can see in the messages without protection is a fault of a sensor. */
+            /* In messages without protection, a change that no check can see counts as a fault of a sensor. */
             fault.message = fault.kind == fault_flipped || fault.kind == fault_stuck || fault.kind == fault_late ? 1u : (uint8_t)below(4u);
             fault.left_ms = (int32_t)(TICK_MS * (1u + below(below(4u) == 0u ? 500u : 30u)));
             fault.wait_ms = (int32_t)(2000u + below(60000u));
@@ -319,7 +319,7 @@ static void start_hour(void) {
     port_stack_paint();
 }
 
-/* What the sensors say, and after the firmware has answered what comes of it. */
+/* Sensor values, and the motion of the vehicle after the firmware's answer. */
 static void move(void) {
     const lpvg_real_t u = demand;
     pressure += (demand - pressure) * 0.01f / 0.15f;
@@ -362,12 +362,12 @@ static void send_frames(int64_t tick) {
     memset(&guard, 0, sizeof guard);
     vdc2.steering_wheel_angle = lpvg_can_encode(&lpvg_can_vdc2_steering_wheel_angle, 20.0f * outputs[1]);
     vdc2.yaw_rate = lpvg_can_encode(&lpvg_can_vdc2_yaw_rate, outputs[0]);
-    /* What a sensor fault of the yaw rate leaves as it is. */
+    /* Signals that a fault of the yaw-rate sensor does not change. */
     vdc2.lateral_acceleration = lpvg_can_encode(&lpvg_can_vdc2_lateral_acceleration, outputs[0] * speed);
     vdc2.longitudinal_acceleration = lpvg_can_encode(&lpvg_can_vdc2_longitudinal_acceleration, 0.0f);
     packed = lpvg_can_vdc2_pack(&vdc2, &frame) == lpvg_status_ok;
     send_message(0u, &frame);
-    /* Released for half a second after the start and where the loop is locked: then acknowledged, when the vehicle has no fault. */
+    /* Asks for release during the first half second, and while the loop is locked. Then acknowledges, if the vehicle has no fault. */
     request_ms = engagement == (uint8_t)lpvg_ecu_locked && request_ms > 20000 && wear.left_ms <= 0 ? 0 : request_ms + TICK_MS;
     guard.control_request = request_ms < 250   ? LPVG_BUS_REQUEST_RELEASE
                             : request_ms < 500 ? LPVG_BUS_REQUEST_ACKNOWLEDGE
@@ -396,9 +396,9 @@ static void send_frames(int64_t tick) {
 
 static int32_t dead_ms, released_ms;
 static int64_t alarm_us;
-static uint8_t said; /* by the tick before */
+static uint8_t said; /* verdict of the previous tick */
 
-/* Of either test that falsifies, and of the change test; a verdict holds longer. */
+/* Alarm of the falsifying tests or the change test. The verdict lasts longer than the alarm. */
 static int64_t newest_alarm_us(void) {
     const lpvg_monitor_t* const monitor = &firmware.ecu.monitor;
     const int64_t falsified = monitor->has_falsified ? monitor->t_falsified_us : 0;
@@ -422,7 +422,7 @@ static void judge(void) {
     broken[rule_engaged] += SOAK_FAULTS == 0u && released_ms > ENGAGED_MS ? 1u : 0u;
     broken[rule_release] += released_ms > RELEASE_MS && (demand > 0.001f || demand < -0.001f) ? 1u : 0u;
     if (newest_alarm_us() > alarm_us || (verdict == (uint8_t)lpvg_verdict_invalid && said != verdict)) {
-        /* One that goes on is one; the watch of the response ends in invalid without a time of the monitor. */
+        /* A continuing alarm counts once. The watch of the response makes the verdict invalid without a time of the monitor. */
         hour.alarms += newest_alarm_us() <= alarm_us || newest_alarm_us() - alarm_us > 1000000 ? 1u : 0u;
         alarm_us = newest_alarm_us() > alarm_us ? newest_alarm_us() : alarm_us;
         wear.alarmed = wear.alarmed || wear.left_ms > 0;
@@ -488,7 +488,7 @@ static void write_hour(uint32_t number) {
     write_line();
 }
 
-/* Ignition off and on between two hours: an invalid verdict that came again after an acknowledgement stands until then. */
+/* Ignition off and on between two hours. A repeated invalid verdict after an acknowledgement lasts until then. */
 static void restart(const bus_t* bus) {
     broken[rule_report] += firmware_init(&firmware, bus, &firmware_config, NULL, now_us + clock_off_us) == lpvg_status_ok ? 0u : 1u;
     counter_due = 0u;

@@ -1,14 +1,14 @@
-// target_bench.cpp -- the core of one vehicle on one target: what it answers, bit for bit, and what it costs.
+// target_bench.cpp -- bit-exact results and costs of one vehicle's core on one target.
 //
-// Runs over the drive in target_input.h (made by lpvguard.core.targets) and writes lines of words:
+// Runs the drive in target_input.h (made by lpvguard.core.targets) and writes these lines:
 //
 //   frame BIN T_END_US REASON FALSIFIED then bits of: speed margin statistic evidence, E, Z      results
-//   verdict T_US VERDICT                     when it changes
+//   verdict T_US VERDICT                     when the verdict changes
 //   demand T_US BITS                         every 100th
 //   size NAME BYTES                          of the structs that the caller owns
 //   part NAME CALLS WORST MEDIAN STACK       instructions of one call; bytes of stack below the caller
 //
-// Numbers are decimal, bits of a float hexadecimal. Result lines are the same on every target; the rest is the target's.
+// Numbers are decimal; bits of a float are hexadecimal. Result lines are the same on every target. Other lines depend on the target.
 #include "port.h"
 
 #include <algorithm>
@@ -40,7 +40,7 @@ namespace {
 
 static_assert(sizeof(lpvg_real_t) == 4U, "results are compared as the bits of a float");
 
-// Line of words.
+// Writes a line of words.
 class Line {
 public:
     Line& word(const char* text) {
@@ -72,7 +72,7 @@ private:
 
 uint32_t counts[TARGET_INPUT_SAMPLES];
 
-// Instructions and stack of the calls of one part.
+// Counts instructions and stack of the calls of one part.
 class Part {
 public:
     explicit Part(const char* name) : name_(name) {
@@ -162,7 +162,7 @@ void run_monitor() {
 
 #ifdef TARGET_DIAGNOSES
 
-// The cause of an alarm: taking a sample after its push, an output's share of a block, and an output's judgement. Not in the step.
+// Diagnosis of an alarm: take after a push, work on a block for one output, and judgement of one output. Not part of the step.
 void run_diagnosis() {
     static lpvg_diagnosis_t diagnosis;
     require(lpvg_monitor_init(&monitor, &lpvg_coeff) == lpvg_status_ok, "monitor refused the coefficients\n");
@@ -209,7 +209,7 @@ void run_model() {
     part.write();
 }
 
-// Margins of frames with every mix of sizes: E and Z made of the drive's samples, bounds of every bin.
+// Margins of frames with many combinations of sizes. E and Z come from the drive's samples; the bounds are those of every bin.
 void run_margin() {
     using Complex = lpvg::Complex2<lpvg_real_t>;
     Part part("margin");
@@ -235,7 +235,7 @@ lpvg_ecu_t ecu;
 
 float demands[TARGET_INPUT_SAMPLES];
 
-// Nothing at first, so that engaging moves no state: the dense controller cannot.
+// The measurements start at zero, so that the engagement changes no state. The dense controller has no such change.
 void measurements(std::size_t k, lpvg_real_t* m) {
     std::memset(m, 0, LPVG_NM * sizeof *m);
     if (k > 0U) {
@@ -244,7 +244,7 @@ void measurements(std::size_t k, lpvg_real_t* m) {
     }
 }
 
-// The watch of the response over the drive, from its first sample on.
+// Runs the watch of the response over the whole drive.
 void run_watch() {
     Part part("watch_take");
     static lpvg_watch_t watch;
@@ -283,7 +283,7 @@ void run_controller() {
     part.write();
 }
 
-// The same law with full matrices; it must ask for the same.
+// Runs the same control law with full matrices, which must give the same demand.
 void run_dense_controller() {
     static DenseController dense(lpvg_control_coeff);
     Part part("dense_step");
@@ -326,12 +326,12 @@ std::size_t bus_frames(std::size_t k, lpvg_can_frame_t* frames, uint8_t* counter
     }
     require(packed, "the codec refused a frame\n");
     for (std::size_t i = 0; i < n; ++i) {
-        frames[i].t_us = sample.t_us - 600 * static_cast<int64_t>(n - i);  // a 250 kbit/s bus carries a frame in 0.6 ms
+        frames[i].t_us = sample.t_us - 600 * static_cast<int64_t>(n - i);  // a 250 kbit/s bus needs 0.6 ms per frame
     }
     return n;
 }
 
-// The step under the worst bus load: as many frames as it takes, of which no rule knows the rest.
+// Runs the step under the worst bus load: the largest number of frames, filled up with frames without a rule.
 void run_full_bus(uint8_t* counter) {
     Part part("ecu_step_full");
     for (std::size_t k = 0; k < 200U; ++k) {
@@ -351,7 +351,7 @@ void run_full_bus(uint8_t* counter) {
     part.write();
 }
 
-// A message and its authenticator, behind a CMAC in software without hardware or tables of its own beyond the S-box. Not in the step.
+// Checks a message and its authenticator with a software CMAC that has no table except the S-box. Not part of the step.
 void run_authentication() {
     const uint8_t key[16] = {0x2b, 0x7e, 0x15, 0x16, 0x28, 0xae, 0xd2, 0xa6, 0xab, 0xf7, 0x15, 0x88, 0x09, 0xcf, 0x4f, 0x3c};
     static AesCmac cmac(key);
@@ -376,8 +376,8 @@ void run_authentication() {
     part.write();
 }
 
-// The J1939 module beside the step, at its worst: every place taken, one code that comes and goes in each step, a full bus of requests
-// and claims, and a broadcast on its way.
+// Worst case of the J1939 module, which runs beside the step: all code places used, one code that changes in each step, a full bus of
+// requests and claims, and an active broadcast.
 void run_j1939() {
     static lpvg_j1939_memory_t memory;
     static lpvg_j1939_t j1939;
@@ -411,7 +411,7 @@ void run_j1939() {
     part.write();
 }
 
-// A command that the slave must take.
+// Sends a command that the slave must accept.
 void order(lpvg_xcp_t* slave, std::initializer_list<uint8_t> bytes, uint32_t address = 0U) {
     lpvg_can_frame_t command{}, answer{};
     command.id = slave->config.receive_id;
@@ -421,7 +421,7 @@ void order(lpvg_xcp_t* slave, std::initializer_list<uint8_t> bytes, uint32_t add
     require(lpvg_xcp_receive(slave, &command, &answer) && answer.data[0] == 0xFFU, "XCP refuses a command\n");
 }
 
-// The largest list, a byte an entry, at every event.
+// Starts the largest list, with one byte per entry, at every event.
 void run_xcp_list(lpvg_xcp_t* slave, uint32_t address) {
     order(slave, {0xD6U});
     order(slave, {0xD5U, 0U, 1U, 0U});
@@ -443,8 +443,8 @@ void run_xcp_list(lpvg_xcp_t* slave, uint32_t address) {
     part.write();
 }
 
-// The XCP slave: a frame that is not for it, an event without a list, the longest command, in the last of its ranges, and an event with the
-// largest list. Not in the step.
+// Worst cases of the XCP slave: a foreign frame, an event without a list, the longest command in the last of its ranges, and an event with
+// the largest list. Not part of the step.
 void run_xcp() {
     static lpvg_xcp_range_t ranges[LPVG_XCP_RANGES_MAX];
     for (uint32_t i = 0U; i < LPVG_XCP_RANGES_MAX; ++i) {
@@ -482,9 +482,9 @@ void run_xcp() {
     run_xcp_list(&slave, address);
 }
 
-// Everything at once: frames in, supervision, cross-checks, controller, monitor, frames out.
+// Runs the whole step: frames in, supervision, cross-checks, controller, monitor, frames out.
 void run_ecu() {
-    // The drive is no answer to the demands of this controller: what is found of it must not end the measurement.
+    // The drive does not respond to the demands of this controller. Findings about it must not end the measurement.
     const lpvg_ecu_config_t config = {true,  LPVG_ECU_CAUSES_OPTIONAL,         0U,
                                       false, {2.07F, 5.0F, 1.5F, 0.15F, 100U}, {0.14F, 0.04F, 30U, 0.32F}};
     Part init("ecu_init");
@@ -512,8 +512,8 @@ void run_ecu() {
 #endif
 
 #ifdef TARGET_EVIDENCE
-// Samples of the truck's channels with the most slots. Every 60th is an alarm, so that records freeze and take each other's place. A gap
-// comes every 70 samples.
+// Takes samples of the truck's channels with the most slots. Every 60th sample is an alarm, so that records freeze and replace each other.
+// Every 70 samples there is a gap.
 void run_evidence() {
     constexpr uint32_t samples = 50U, channels = 1U + LPVG_NU + LPVG_NY;
     static int16_t buffer[LPVG_EVIDENCE_SLOTS_MAX * samples * channels];
@@ -548,7 +548,7 @@ void run_evidence() {
 
 int main() {
     port_counter_start();
-#ifdef TARGET_EVIDENCE  // an image of its own: the evidence ring is no part of the budget's ROM
+#ifdef TARGET_EVIDENCE  // a separate image, because the evidence ring is not part of the ROM budget
     Line().word("size").word("evidence").number(sizeof(lpvg_evidence_t)).write();
     run_evidence();
     port_write("end\n");

@@ -1,4 +1,4 @@
-// The key of the simulation, known to everybody: it shows that both ends work. A vehicle's key is in its security module.
+// The public key of the simulation, which only shows that both ends work. A vehicle's key is in its security module.
 #pragma once
 
 #include "aes_cmac.hpp"

@@ -1,4 +1,4 @@
-/// @file text.hpp -- text in a buffer of the caller's, without libc: what does not fit is left out.
+/// @file text.hpp -- text in a buffer of the caller, without libc. Text that does not fit is left out.
 #pragma once
 
 #include <cstddef>

@@ -1,6 +1,6 @@
-// verdicts.cpp -- what the monitor of one vehicle says of drives, on one target: an image of the monitor alone.
+// verdicts.cpp -- verdicts of one vehicle's monitor over drives on one target, in an image with only the monitor.
 //
-// Runs over the drives in target_input.h (made by lpvguard.core.targets), each from init on, and writes lines of words:
+// Runs the drives in target_input.h (made by lpvguard.core.targets), each from init on, and writes these lines:
 //
 //   size monitor BYTES
 //   drive NUMBER
@@ -43,7 +43,7 @@ void run_drive(std::size_t begin, std::size_t end) {
         sample.speed = lpvg_real_t{row[0]};
         std::copy_n(row + 1, LPVG_NU, sample.u);
         std::copy_n(row + 1 + LPVG_NU, LPVG_NY, sample.y);
-        (void)(lpvg_monitor_push(&monitor, &sample) == lpvg_status_ok);  // what is refused shows in the verdict
+        (void)(lpvg_monitor_push(&monitor, &sample) == lpvg_status_ok);  // the verdict shows a refused sample
         const auto now = static_cast<uint64_t>(lpvg_monitor_verdict(&monitor, sample.t_us));
         if (now != verdict) {
             verdict = now;

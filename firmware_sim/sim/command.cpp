@@ -12,7 +12,7 @@ constexpr double two_pi = 6.283185307179586477;
 constexpr double sample_s = lpvguard_plant::Plant::step_s * lpvguard_plant::Plant::steps_per_sample;
 constexpr double fade_in_s = 5.0;
 constexpr std::uint64_t command_stream = 300;
-constexpr int sines_log = 24;     // dense enough that every monitor bin of the band is excited
+constexpr int sines_log = 24;     // dense enough to excite every monitor bin of the band
 constexpr int sines_linear = 48;  // enough for a nearly Gaussian amplitude
 
 }  // namespace
@@ -25,7 +25,7 @@ Command::Command(const CommandSettings& settings, std::uint64_t seed) : settings
     const int n = settings_.linear_spacing ? sines_linear : sines_log;
     amplitude_radps_ = settings_.rms_radps * std::sqrt(2.0 / n);
     for (int i = 0; i < n; ++i) {
-        // A random place in each of n equal cells: no two seeds repeat with the same period.
+        // A random frequency in each of n equal cells, so that different seeds have different periods.
         const double place = (i + random.uniform()) / n;
         const double omega = settings_.linear_spacing ? settings_.low_radps + place * (settings_.high_radps - settings_.low_radps)
                                                       : settings_.low_radps * std::pow(settings_.high_radps / settings_.low_radps, place);

@@ -1,4 +1,4 @@
-/// @file command.hpp -- the driver's yaw-rate command over time, and the reference model that tracking is judged against.
+/// @file command.hpp -- the driver's yaw-rate command over time, and the reference model for the tracking error.
 #pragma once
 
 #include <cstddef>
@@ -9,7 +9,7 @@
 
 namespace lpvguard_sim {
 
-/// One call of next() per 10 ms. Same settings and seed: same bits.
+/// Call next() once per 10 ms. The same settings and seed give the same bits.
 class Command {
 public:
     Command(const CommandSettings& settings, std::uint64_t seed);
@@ -28,7 +28,7 @@ private:
     std::vector<Oscillator> oscillators_;
     double amplitude_radps_ = 0.0;
     std::int64_t samples_ = 0;
-    std::size_t segment_ = 0;  ///< Of the profile.
+    std::size_t segment_ = 0;  ///< Segment of the profile.
 };
 
 /// W_R = 9 / (s^2 + 5.4 s + 9) at 10 ms by the trapezoidal rule (0.1 % at 10 rad/s).

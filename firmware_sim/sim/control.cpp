@@ -6,7 +6,7 @@ namespace {
 using lpvguard_plant::ParameterError;
 
 constexpr double s_per_us = 1e-6;
-constexpr std::int64_t early_us = 500;  // half a step of the plant: rounding of times must not move a change to the tick after
+constexpr std::int64_t early_us = 500;  // half a step of the plant, so that rounding of times moves no change to the next tick
 constexpr std::int32_t steps_max = 1'000'000;
 
 }  // namespace

@@ -1,8 +1,8 @@
-/// @file control.hpp -- what clients may do to a running simulation (control_t, status_t: firmware_sim/lcm).
+/// @file control.hpp -- commands of clients to a running simulation (control_t, status_t: firmware_sim/lcm).
 ///
-/// Commands are taken between two ticks. Pausing and stepping change no simulated time. What INJECT and CLEAR change acts from the
-/// next tick on, whose sensors have not been sampled yet. It is a change of the scenario's file (live_scenario.hpp). Run from the
-/// start, that file gives the same run.
+/// Commands are processed between two ticks. Pausing and stepping change no simulated time. Changes by INJECT and CLEAR act from the
+/// next tick on, whose sensors have not been sampled yet. They change the scenario file (live_scenario.hpp). A run of the changed file
+/// from the start gives the same frames.
 #pragma once
 
 #include <cstdint>
@@ -20,10 +20,10 @@ public:
     Control(Publisher& publisher, LiveScenario& scenario, bool paused)
         : publisher_(publisher), scenario_(scenario), left_(paused ? 0 : without_end) {}
 
-    /// Goes on with a changed scenario; throws lpvguard_plant::ParameterError, with nothing changed, where it cannot.
+    /// Continues with a changed scenario. If this is impossible, throws lpvguard_plant::ParameterError and changes nothing.
     using Revise = std::function<void(const Scenario&)>;
 
-    /// Before the tick of now_us: takes commands, and waits while paused. False: a client has said stop.
+    /// Call before the tick of now_us. Processes commands, and waits while paused. Returns false if a client has sent stop.
     bool may_tick(std::int64_t now_us, const Revise& revise);
 
     void ended(std::int64_t now_us) { publisher_.publish(Status{now_us, Status::ended}); }
@@ -39,7 +39,7 @@ private:
 
     Publisher& publisher_;
     LiveScenario& scenario_;
-    std::int64_t left_;  ///< Ticks to go until it is paused.
+    std::int64_t left_;  ///< Number of ticks until the next pause.
     bool stopped_ = false;
 };
 

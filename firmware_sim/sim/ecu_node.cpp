@@ -124,7 +124,7 @@ public:
         constexpr int line_of_child = 3;
         posix_spawn_file_actions_t actions;
         posix_spawn_file_actions_init(&actions);
-        posix_spawn_file_actions_adddup2(&actions, pair[1], line_of_child);  // also without close-on-exec when they are the same
+        posix_spawn_file_actions_adddup2(&actions, pair[1], line_of_child);  // without close-on-exec even if both numbers are the same
         std::vector<std::string> words = {
             program, interface, "--engage", options.engage ? "yes" : "no", "--time-line", std::to_string(line_of_child)};
         if (options.report_only) {

@@ -1,4 +1,4 @@
-/// @file ecu_node.hpp -- the guarded controller's end of the loop: the firmware in this process, or in one of its own.
+/// @file ecu_node.hpp -- the guarded controller's end of the loop: the firmware in this process or in a separate process.
 #pragma once
 
 #include <cstdint>
@@ -15,18 +15,18 @@ class EcuNode {
 public:
     virtual ~EcuNode() = default;
 
-    /// One sample period: takes what was sent to it, and has sent its answer when it returns. `supervision`: what it has
-    /// counted is to be known then. Throws std::runtime_error.
+    /// Runs one sample period: receives the waiting frames, and sends its frames before it returns. With `supervision`, the
+    /// counters are updated. Throws std::runtime_error.
     virtual void tick(std::int64_t now_us, bool supervision) = 0;
     const Judged* judged() const { return has_judged_ ? &judged_ : nullptr; }  ///< The frame that the newest tick judged, or null.
-    /// What each output's cause is, where the newest tick found causes, or null.
+    /// The cause in each output if the newest tick found causes, otherwise null.
     const Found (*found() const)[LPVG_NY] { return has_found_ ? &found_ : nullptr; }
-    const Supervision& supervision() const { return supervision_; }            ///< After the newest tick that was asked for it.
+    const Supervision& supervision() const { return supervision_; }            ///< Counters after the newest tick with `supervision`.
 
-    /// Its state, where it runs in this process; else null.
+    /// State of the firmware if it runs in this process, otherwise null.
     virtual const lpvg_ecu_t* inside() const = 0;
 
-    /// Ends it. What its supervision counted, as JSON (reception.hpp).
+    /// Ends the firmware. Returns the counters of its supervision as JSON (reception.hpp).
     virtual std::string finish() = 0;
 
 protected:
@@ -44,11 +44,11 @@ struct Nodes {
 
 struct EcuOptions {
     bool engage = true;
-    bool report_only = false;  ///< What the configuration may only report does not release.
+    bool report_only = false;  ///< Causes that the configuration may only report (LPVG_ECU_CAUSES_OPTIONAL) do not release.
 };
 
-/// `bus`: memory or socketcan:INTERFACE. `program`: empty, or the executable lpvguard_ecu, for a process of its own (SocketCAN).
-/// Throws lpvguard_plant::UsageError for anything else, what cannot be opened, and coefficients that the core refuses.
+/// `bus` is memory or socketcan:INTERFACE. `program` is empty, or the executable lpvguard_ecu for a separate process (SocketCAN).
+/// Throws lpvguard_plant::UsageError for another bus, for a bus that cannot be opened, and for coefficients that the core refuses.
 Nodes open_nodes(const std::string& bus, const std::string& program, const EcuOptions& options);
 
 }  // namespace lpvguard_sim

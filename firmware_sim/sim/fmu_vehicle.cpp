@@ -21,7 +21,7 @@ using lpvguard_plant::Wheel;
 constexpr double tick_s = lpvguard_plant::Plant::step_s * lpvguard_plant::Plant::steps_per_sample;
 constexpr int worst_status = 1;  // ok and warning
 
-/// The functions of FMI 2.0 or 3.0 that a vehicle needs. Everything else about the instance is the caller's.
+/// The functions of FMI 2.0 or 3.0 that a vehicle needs. The caller manages the rest of the instance.
 class Fmu {
 public:
     explicit Fmu(const toml::table& link, const std::string& file)
@@ -139,7 +139,7 @@ private:
     void* instance_ = nullptr;
 };
 
-/// A variable of the FMU: ours is factor x its value + offset.
+/// A variable of the FMU. Our quantity is factor x value + offset.
 struct Linked {
     std::string name;
     unsigned reference;

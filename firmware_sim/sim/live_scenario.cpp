@@ -13,7 +13,7 @@ namespace {
 
 using lpvguard_plant::ParameterError;
 
-constexpr const char* source = "command";  // stands for the file in error messages
+constexpr const char* source = "command";  // replaces the file name in error messages
 constexpr std::array<std::string_view, 5> lists = {"can_fault", "plant.sensor_fault", "plant.actuator_fault", "plant.surroundings_fault",
                                                    "plant.speed_change"};
 
@@ -43,7 +43,7 @@ LiveScenario::Change change_to(const toml::table& document, std::string entry) {
     return {std::move(entry), std::move(text), std::move(scenario)};
 }
 
-/// The only list that `fragment` holds, when it holds nothing else and that has one entry.
+/// Returns the list in `fragment`, if `fragment` holds only this list and the list has one entry.
 std::pair<std::string_view, const toml::table*> only_entry(const toml::table& fragment) {
     for (const std::string_view list : lists) {
         const toml::array* const entries = fragment.at_path(list).as_array();

@@ -1,7 +1,7 @@
-/// @file live_scenario.hpp -- a scenario that may still be changed while it runs, from the next tick on.
+/// @file live_scenario.hpp -- a scenario that clients can change while it runs, from the next tick on.
 ///
-/// Whatever changes is an entry of the scenario's file, and text() is that file. Run from the start, it gives the same frames, byte for
-/// byte, as the run that was changed on its way. A change therefore has to begin after the newest tick.
+/// Each change is an entry of the scenario file, and text() returns the changed file. A run of this file from the start gives the same
+/// frames, byte for byte, as the changed run. A change must therefore begin after the newest tick.
 #pragma once
 
 #include <cstdint>
@@ -18,21 +18,21 @@ public:
     explicit LiveScenario(const std::string& path);
     ~LiveScenario();
 
-    void set_seed(std::uint64_t seed);  ///< In place of the file's.
+    void set_seed(std::uint64_t seed);  ///< Replaces the seed of the file.
 
     const Scenario& now() const;
-    std::string text() const;  ///< TOML. Comments of the file are gone.
+    std::string text() const;  ///< TOML without the comments of the file.
 
-    /// What a change would make of it.
+    /// Result of a change.
     struct Change {
-        std::string entry;  ///< Name of what was made or ended: plant.sensor_fault[0]
+        std::string entry;  ///< Name of the new or ended entry, e.g. plant.sensor_fault[0].
         std::string text;
         Scenario scenario;
     };
 
-    /// `toml`: one entry without start_s, as in control_t (firmware_sim/lcm). It is of can_fault, plant.sensor_fault,
-    /// plant.actuator_fault, plant.surroundings_fault or plant.speed_change. All three throw ParameterError for what the scenario file
-    /// could not hold, or says already.
+    /// `toml` is one entry without start_s, as in control_t (firmware_sim/lcm). Its table is can_fault, plant.sensor_fault,
+    /// plant.actuator_fault, plant.surroundings_fault or plant.speed_change. All three functions throw ParameterError for an entry that
+    /// the scenario file cannot hold, or already holds.
     Change injected(double start_s, const std::string& toml) const;
     Change cleared(double end_s, const std::string& entry) const;
     Change ended(double duration_s) const;
@@ -40,7 +40,7 @@ public:
     void take(const Change& change);
 
 private:
-    struct Document;  ///< Its TOML.
+    struct Document;  ///< The TOML document.
     std::unique_ptr<Document> document_;
     Scenario scenario_;
 };

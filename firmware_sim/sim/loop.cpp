@@ -96,7 +96,7 @@ void Loop::run(double pace) {
                 ticks_ = k;
                 break;
             }
-            begin += Clock::now() - asked;  // a pause is not to be made up for
+            begin += Clock::now() - asked;  // time lost in a pause is not caught up
         }
         if (pace > 0.0) {
             std::this_thread::sleep_until(begin + std::chrono::duration_cast<Clock::duration>(
@@ -107,7 +107,7 @@ void Loop::run(double pace) {
     if (ends_.control != nullptr) {
         ends_.control->ended(ticks_ * tick_us);
     }
-    // Processor time: what one core needs, whatever else the machine does. Of an ECU elsewhere it would be the smaller part.
+    // Processor time does not depend on the load of the machine. With the ECU in another process, elapsed time is used instead.
     const double processor_s = static_cast<double>(std::max<std::clock_t>(std::clock() - started, 1)) / CLOCKS_PER_SEC;
     const std::chrono::duration<double> elapsed = Clock::now() - begin;
     real_time_factor_ = static_cast<double>(ticks_ * tick_us) * 1e-6 / (ecu_.inside() != nullptr ? processor_s : elapsed.count());
@@ -144,7 +144,7 @@ void Loop::print(std::FILE* out, std::uint64_t seed) {
     std::fprintf(out, " \"schema\": 1}\n");
 }
 
-// Row k of a drive: what the sensors say at t, and the demand that holds from t to the next row.
+// Row k of a drive holds the sensor values at t, and the demand from t to the next row.
 void Loop::tick(std::int64_t k) {
     const std::int64_t now_us = k * tick_us;
     const double time_s = static_cast<double>(now_us) * 1e-6;

@@ -1,4 +1,4 @@
-/// @file loop.hpp -- one run: truck, command and controller from tick to tick, and what is noted of them.
+/// @file loop.hpp -- one run: truck, command and controller from tick to tick, and the record of the run.
 #pragma once
 
 #include <cstdint>
@@ -18,7 +18,7 @@
 
 namespace lpvguard_sim {
 
-/// Counts, hashes (FNV-1a) and, when asked, logs and publishes what passes the bus.
+/// Counts and hashes (FNV-1a) the frames of the bus. On request, logs and publishes them.
 class FrameWatcher {
 public:
     FrameWatcher(std::FILE* log, Publisher* publisher) : log_(log), publisher_(publisher) {}
@@ -37,7 +37,7 @@ private:
     std::uint64_t hash_ = 0xCBF29CE484222325U;
 };
 
-/// Values of something that changes seldom, with the times of the changes.
+/// Values of a quantity that changes seldom, with the times of the changes.
 template <class Value>
 class Changes {
 public:
@@ -57,12 +57,12 @@ private:
     std::vector<Change> list_;
 };
 
-/// Where a run is written to and led from; null: nowhere.
+/// Outputs of a run, and the source of its commands; null: none.
 struct LoopEnds {
-    std::FILE* log = nullptr;        ///< Every frame of the bus as candump -L writes it.
+    std::FILE* log = nullptr;        ///< Every frame of the bus in the form of candump -L.
     std::FILE* frames = nullptr;     ///< Every frame that the monitor judged.
-    std::FILE* drive = nullptr;      ///< The samples that the monitor was given.
-    std::FILE* telemetry = nullptr;  ///< The loop every 100 ms.
+    std::FILE* drive = nullptr;      ///< The samples that the monitor received.
+    std::FILE* telemetry = nullptr;  ///< State of the loop every 100 ms.
     Publisher* publisher = nullptr;
     Control* control = nullptr;
 };
@@ -73,10 +73,10 @@ public:
     Loop(const Scenario& scenario, const lpvguard_plant::PlantParameters& parameters, LoopBus& bus, EcuNode& ecu, const LoopEnds& ends,
          std::unique_ptr<VehicleModel> model = nullptr);
 
-    /// At most `pace` times real time; 0: as fast as it goes. Throws std::runtime_error when the bus or the ECU fails.
+    /// Runs at most at `pace` times real time; 0: as fast as possible. Throws std::runtime_error if the bus or the ECU fails.
     void run(double pace);
 
-    /// What happened, as JSON. Verdicts and supervision are numbers: lpvg_verdict_t, lpvg_can_state_t.
+    /// Returns the events of the run as JSON. Verdicts and supervision are numbers: lpvg_verdict_t, lpvg_can_state_t.
     void print(std::FILE* out, std::uint64_t seed);
 
     const FrameWatcher& watcher() const { return watcher_; }
@@ -98,7 +98,7 @@ private:
     FrameWatcher watcher_;
     Changes<std::uint8_t> verdicts_, supervision_, implausible_;
     Changes<TroubleCode> troubles_;
-    std::vector<std::pair<double, Found>> causes_;  ///< with the time when each was found
+    std::vector<std::pair<double, Found>> causes_;  ///< causes with their times
     double error_squares_ = 0.0, wanted_squares_ = 0.0, demand_max_bar_ = 0.0, real_time_factor_ = 0.0;
 };
 

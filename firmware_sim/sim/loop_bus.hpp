@@ -1,4 +1,4 @@
-/// @file loop_bus.hpp -- the bus between the two nodes of the loop, as the simulator sees it: two ends, and a watcher.
+/// @file loop_bus.hpp -- the bus between the two nodes of the loop, for the simulator: two ends and a watcher.
 #pragma once
 
 #include <array>
@@ -31,7 +31,7 @@ public:
         context_ = context;
     }
 
-    /// Why the bus no longer carries every frame; empty while it does. Drivers are called from C, so they do not throw.
+    /// Reason why the bus no longer carries every frame; empty without a failure. C calls the drivers, so they do not throw.
     const std::string& failure() const { return failure_; }
 
 protected:
@@ -49,7 +49,7 @@ private:
     void* context_ = nullptr;
 };
 
-/// The word after "socketcan:". Throws lpvguard_plant::UsageError for any other name of a bus than that.
+/// Returns the word after "socketcan:". Throws lpvguard_plant::UsageError for any other name of a bus.
 std::string socketcan_interface(const std::string& bus);
 
 }  // namespace lpvguard_sim

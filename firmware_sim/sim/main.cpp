@@ -1,24 +1,24 @@
-// main.cpp -- lpvguard_sim: one scenario of the closed loop over CAN frames; what happened goes to standard output as JSON.
+// main.cpp -- lpvguard_sim: runs one scenario of the closed loop over CAN frames, and writes the result to standard output as JSON.
 //
 //   lpvguard_sim SCENARIO --parameters TRUCK.toml [--seed N] [--bus memory|socketcan:INTERFACE] [--engage yes|no]
 //                [--reactions release|report] [--ecu PROGRAM] [--pace X] [--log F] [--frames F] [--drive F] [--telemetry F]
 //                [--lcm URL [--start running|paused] [--applied F]] [--plant LINK.toml]
 //
-//   --reactions  report: what the configuration may only report (LPVG_ECU_CAUSES_OPTIONAL) does not release, so that the loop goes on
-//                behind a finding (default: release, as the firmware is configured)
-//   --ecu        the ECU's firmware is this program (lpvguard_ecu), a process of its own on the same CAN interface, in lock-step by
-//                simulated time. What it says is then read off the bus and the time line, and --drive stays empty.
-//   --plant      an FMU is the vehicle, linked by this file (vehicle_model.hpp)
-//   --pace       at most X times real time (default: as fast as it goes)
-//   --log        every frame of the bus as candump -L writes it, with simulated time
+//   --reactions  report: causes of LPVG_ECU_CAUSES_OPTIONAL do not release, so that the loop continues after a finding
+//                (default: release, the configuration of the firmware)
+//   --ecu        the ECU's firmware is this program (lpvguard_ecu), a separate process on the same CAN interface, in lock-step with
+//                simulated time. Its outputs are then read from the bus and the time line, and --drive stays empty.
+//   --plant      an FMU replaces the vehicle; this file links it (vehicle_model.hpp)
+//   --pace       at most X times real time (default: as fast as possible)
+//   --log        every frame of the bus in the form of candump -L, with simulated time
 //   --frames     every frame that the monitor judged (CSV)
-//   --drive      the samples that the monitor was given, as a drive table (CSV): what `lpvguard replay` reads
-//   --telemetry  the loop every 100 ms (CSV)
-//   --lcm        telemetry out and commands in as LCM messages (firmware_sim/lcm), where built with LCM
-//   --start      paused: nothing happens before a client says so
-//   --applied    the scenario as it was run, with what clients changed: the same frames without them
+//   --drive      the samples that the monitor received, as a drive table (CSV) for `lpvguard replay`
+//   --telemetry  state of the loop every 100 ms (CSV)
+//   --lcm        telemetry and commands as LCM messages (firmware_sim/lcm), if built with LCM
+//   --start      paused: the run starts when a client sends resume
+//   --applied    the scenario with the changes of clients; it gives the same frames without clients
 //
-// The expectations of the scenario are judged by `lpvguard sim`, which builds and calls this program.
+// `lpvguard sim` builds and calls this program, and judges the expectations of the scenario.
 #include <cerrno>
 #include <cstdio>
 #include <cstring>
@@ -38,7 +38,7 @@ struct CloseFile {
 };
 using OutputFile = std::unique_ptr<std::FILE, CloseFile>;
 
-/// A file to write; none where no name is given.
+/// A file to write; no file if there is no name.
 OutputFile output_file(const std::string& path) {
     OutputFile file(path.empty() ? nullptr : std::fopen(path.c_str(), "wb"));
     if (file == nullptr && !path.empty()) {
@@ -47,7 +47,7 @@ OutputFile output_file(const std::string& path) {
     return file;
 }
 
-/// UsageError unless everything that was written has reached the file: a full disk must not pass for a result.
+/// Throws UsageError unless all data have reached the file, so that a full disk is not taken for a result.
 void require_written(const OutputFile& file) {
     if (file != nullptr && (std::fflush(file.get()) != 0 || std::ferror(file.get()) != 0)) {
         throw UsageError(std::string("an output file cannot be written: ") + std::strerror(errno));

@@ -1,7 +1,7 @@
-/// @file publisher.hpp -- the simulation as people and other programs see and lead it: telemetry out, commands in.
+/// @file publisher.hpp -- interface of the simulation to people and other programs: telemetry out, commands in.
 ///
-/// The message types in firmware_sim/lcm give units, signs and channels. CAN carries only what a truck's bus carries; all else
-/// goes this way.
+/// The message types in firmware_sim/lcm state units, signs and channels. CAN carries only the signals of a truck's bus. This
+/// interface carries everything else.
 #pragma once
 
 #include <cstdint>
@@ -15,13 +15,13 @@
 
 namespace lpvguard_sim {
 
-/// As guard_t.
+/// Content of guard_t.
 struct GuardTelemetry {
     double command_radps, wanted_radps, demand_bar, statistic;
     std::uint8_t verdict, supervision;
 };
 
-/// As margin_t: a frame that the monitor has judged, in this tick.
+/// Content of margin_t: a frame that the monitor judged in this tick.
 struct JudgedFrame {
     std::int64_t now_us;
     Judged judged;
@@ -30,7 +30,7 @@ struct JudgedFrame {
     std::uint8_t verdict;
 };
 
-/// As control_t.
+/// Content of control_t.
 struct ControlCommand {
     enum Action : std::int8_t {
         pause,
@@ -41,12 +41,12 @@ struct ControlCommand {
         clear
     };
     std::int64_t id;
-    std::int8_t action;           ///< As received: perhaps none of the above.
+    std::int8_t action;           ///< Received value; it can be none of the above.
     std::int32_t ticks;
     std::string entry;
 };
 
-/// As status_t.
+/// Content of status_t.
 struct Status {
     enum State : std::int8_t {
         running,
@@ -66,17 +66,17 @@ public:
     virtual void publish(std::int64_t now_us, const lpvguard_plant::Truth& truth) = 0;
     virtual void publish(std::int64_t now_us, const GuardTelemetry& guard) = 0;
     virtual void publish(std::int64_t now_us, const Supervision& supervision, const TroubleCode& trouble) = 0;
-    virtual void publish(const lpvg_can_frame_t& frame) = 0;  ///< Of the bus, in the order of sending.
+    virtual void publish(const lpvg_can_frame_t& frame) = 0;  ///< Frames of the bus, in the order of sending.
     virtual void publish(const JudgedFrame& frame) = 0;
-    virtual void publish(std::int64_t now_us, const Found& found) = 0;  ///< Of an output, in the tick that found it.
+    virtual void publish(std::int64_t now_us, const Found& found) = 0;  ///< Cause in one output, in the tick that found it.
     virtual void publish(const Status& status) = 0;
 
-    /// What has come from clients since, in order of arrival; waits for the first at most so long. Throws std::runtime_error.
+    /// Returns the new commands of clients, in order of arrival. Waits at most `wait_ms` for the first one. Throws std::runtime_error.
     virtual std::vector<ControlCommand> take(int wait_ms) = 0;
 };
 
-/// `url` as LCM reads it, e.g. udpm://239.255.76.67:7667?ttl=0 or file:///tmp/run.lcm?mode=w (from a file no commands come).
-/// Throws lpvguard_plant::UsageError when it cannot be opened or the simulator was built without LCM.
+/// `url` is a URL of LCM, e.g. udpm://239.255.76.67:7667?ttl=0 or file:///tmp/run.lcm?mode=w (a file gives no commands).
+/// Throws lpvguard_plant::UsageError if the URL cannot be opened, or if the simulator was built without LCM.
 std::unique_ptr<Publisher> open_publisher(const std::string& url);
 
 }  // namespace lpvguard_sim

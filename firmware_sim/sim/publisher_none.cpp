@@ -1,4 +1,4 @@
-// The simulator without LCM (CMake: LPVG_BUILD_LCM off; `lpvguard sim` builds this one).
+// The publisher of a simulator without LCM (CMake: LPVG_BUILD_LCM off; default of `lpvguard sim`).
 #include "arguments.hpp"
 #include "publisher.hpp"
 

@@ -13,7 +13,7 @@ using lpvguard_plant::ParameterError;
 using lpvguard_plant::require_in_range;
 using lpvguard_plant::require_known_keys;
 
-/// A word of the file and what it stands for.
+/// A word of the file and its value.
 template <class Value>
 struct Named {
     std::string_view name;
@@ -44,7 +44,7 @@ constexpr Named<CanFault::Kind> can_fault_kinds[] = {
     {"bus_off", CanFault::Kind::bus_off},
 };
 
-/// One table of the file, whose numbers and words are taken by name.
+/// One table of the file. Its numbers and words are read by name.
 class Reader {
 public:
     Reader(const toml::table& table, const std::string& file, const std::string& where) : table_(table), file_(file), where_(where) {}
@@ -63,7 +63,7 @@ public:
         return table_.contains(key) ? required(key, low, high) : otherwise;
     }
 
-    /// What the word at `key` stands for among `allowed`.
+    /// Returns the value of the word at `key`, which must be one of `allowed`.
     template <class Value, std::size_t count>
     Value choice(std::string_view key, const Named<Value> (&allowed)[count]) const {
         const std::string word = table_[key].value_or(std::string{});

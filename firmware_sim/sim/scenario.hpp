@@ -1,4 +1,4 @@
-/// @file scenario.hpp -- a scenario file: how the truck is driven, what is asked of it, and what breaks.
+/// @file scenario.hpp -- a scenario file: the driving of the truck, the yaw-rate command, and the faults.
 ///
 ///     title = "..."                    # one line for people
 ///     duration_s = 120.0
@@ -7,7 +7,7 @@
 ///     [command]                        # yaw-rate command
 ///     kind = "multisine"               # multisine, steps, profile or zero
 ///     rms_radps = 0.05                 # multisine
-///     low_radps = 0.5                  # multisine: sines of random phase between these frequencies, together of the rms above,
+///     low_radps = 0.5                  # multisine: sines of random phase between these frequencies, with the rms above,
 ///     high_radps = 4.0                 #            at most high_radps, faded in over 5 s
 ///     spacing = "log"                  # multisine: "log" (few, excitation) or "linear" (many, band-limited noise)
 ///     amplitude_radps = 0.05           # steps: from side to side
@@ -15,16 +15,16 @@
 ///     knots = [[0.0, 0.0], [9.0, 0.1]] # profile: [time s, yaw rate rad/s], linear between knots, constant outside them
 ///     [[can_fault]]                    # any number, on messages to the controller, before GUARD_IN is authenticated
 ///     message = "VDC2"
-///     kind = "lost"                    # lost; corrupted (one bit flipped); delayed; repeated (the frame before in place of the
-///                                      # new one); swapped (in pairs: both at the later one's time, in the wrong order);
-///                                      # stuck_counter (GUARD_IN); wrong_length (7 bytes); unknown_id (10 foreign frames
-///                                      # beside it); babbling (10 frames of its identifier with random data beside it);
-///                                      # bus_off (at start_s the controller reports it; nothing passes until end_s)
+///     kind = "lost"                    # lost; corrupted (one bit flipped); delayed; repeated (the previous frame replaces the
+///                                      # new one); swapped (two frames at the time of the later one, in the wrong order);
+///                                      # stuck_counter (GUARD_IN); wrong_length (7 bytes); unknown_id (10 additional
+///                                      # foreign frames); babbling (10 additional frames with random data);
+///                                      # bus_off (the controller reports it at start_s; no frame passes until end_s)
 ///     start_s = 30.0
 ///     end_s = 60.0                     # optional: until the end
-///     probability = 1.0                # optional, of each frame
+///     probability = 1.0                # optional, for each frame
 ///     delay_s = 0.05                   # delayed
-///     [expect]                         # what must be said and by when: for `lpvguard sim` (tools/src/lpvguard/extras/loop/sim.py)
+///     [expect]                         # required reactions and deadlines, for `lpvguard sim` (tools/src/lpvguard/extras/loop/sim.py)
 ///
 /// Unknown keys, wrong types and numbers outside their ranges throw ParameterError naming file, key and range.
 #pragma once
@@ -68,7 +68,7 @@ struct CanFault {
         babbling,
         bus_off
     };
-    std::uint32_t id = 0;  ///< Of the message, as sent.
+    std::uint32_t id = 0;  ///< Identifier of the message on the bus.
     Kind kind = Kind::lost;
     lpvguard_plant::Window window;
     double probability = 1.0;
@@ -83,7 +83,7 @@ struct Scenario {
     std::vector<CanFault> can_faults;
 };
 
-/// Reads and checks the text of a scenario file; `name` stands for the file in error messages. Throws lpvguard_plant::ParameterError.
+/// Reads and checks the text of a scenario file. Error messages use `name` as the file name. Throws lpvguard_plant::ParameterError.
 Scenario parse_scenario(const std::string& text, const std::string& name);
 
 }  // namespace lpvguard_sim

@@ -1,8 +1,8 @@
-/// @file socketcan_bus.hpp -- the two nodes on a real SocketCAN interface, in lock-step by simulated time.
+/// @file socketcan_bus.hpp -- the two nodes on a real SocketCAN interface, in lock-step with simulated time.
 ///
-/// A node that receives waits until everything the other one has sent has come through the kernel. So a run gives the same
-/// frames as on the memory bus, whatever the machine's speed. Others may listen (candump). A foreign sender's frames reach
-/// both nodes and break the count; such a run cannot be repeated exactly.
+/// A receiving node waits until all frames of the other node have passed the kernel. A run therefore gives the same frames as
+/// on the memory bus, at every speed of the machine. Other programs may listen (candump). Frames of a foreign sender reach
+/// both nodes and disturb the count. Such a run is not repeatable.
 #pragma once
 
 #include <array>
@@ -24,7 +24,7 @@ private:
         SocketCanBus* bus = nullptr;
         Port* peer = nullptr;
         CountedBus can;
-        std::uint64_t due = 0;  ///< Sent to this node since it last received.
+        std::uint64_t due = 0;  ///< Number of frames sent to this node since it last received.
     };
 
     static bool send(void* driver, const lpvg_can_frame_t* frame);

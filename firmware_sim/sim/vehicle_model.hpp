@@ -1,4 +1,4 @@
-/// @file vehicle_model.hpp -- the vehicle of a loop from tick to tick: the simulated truck, or an FMU in its place.
+/// @file vehicle_model.hpp -- the vehicle of a loop from tick to tick: the simulated truck, or an FMU that replaces it.
 #pragma once
 
 #include <memory>
@@ -15,16 +15,16 @@ public:
 
     virtual const lpvguard_plant::Truth& truth() const = 0;
     virtual const lpvguard_plant::Sensors& sensors() const = 0;
-    virtual void advance(double demand_bar) = 0;  ///< By one tick, 10 ms. Throws std::runtime_error.
-    /// Goes on with another drive and other faults, as lpvguard_plant::Plant does.
+    virtual void advance(double demand_bar) = 0;  ///< Advances by one tick of 10 ms. Throws std::runtime_error.
+    /// Continues with another drive and other faults, as lpvguard_plant::Plant does.
     virtual void revise(const lpvguard_plant::Drive& drive, const lpvguard_plant::Faults& faults) = 0;
 };
 
 std::unique_ptr<VehicleModel> simulated_truck(const Scenario& scenario, const lpvguard_plant::PlantParameters& parameters);
 
-/// A co-simulation FMU of FMI 2.0 or 3.0. `link`: TOML file of `lpvguard sim --plant` (tools/src/lpvguard/extras/loop/foreign_plant.py):
-/// the library, what identifies the FMU, and the value references of what is set and read. `text`: the scenario, for an FMU that takes it.
-/// Throws lpvguard_plant::ParameterError or std::runtime_error with the FMU's own words.
+/// A co-simulation FMU of FMI 2.0 or 3.0. `link` is the TOML file of `lpvguard sim --plant`. It holds the library, the identity of the
+/// FMU, and the value references of its inputs and outputs (foreign_plant.py). `text` is the scenario, for an FMU with a parameter for it.
+/// Throws lpvguard_plant::ParameterError, or std::runtime_error with the FMU's own message.
 std::unique_ptr<VehicleModel> fmu_vehicle(const std::string& link, const Scenario& scenario, const std::string& text);
 
 }  // namespace lpvguard_sim

@@ -11,7 +11,7 @@ namespace {
 
 constexpr std::uint64_t bus_fault_stream = 200;
 constexpr std::int64_t slow_period_us = 100'000;
-constexpr std::int64_t standby_us = 200'000;  // control is asked for after this
+constexpr std::int64_t standby_us = 200'000;  // the vehicle asks for control after this time
 constexpr double kmh_per_mps = 3.6;
 constexpr double kpa_per_bar = 100.0;
 
@@ -77,7 +77,7 @@ void VehicleNode::send(std::int64_t now_us, const lpvguard_plant::Sensors& senso
     }
 }
 
-// The messages that come every 100 ms.
+// Sends the messages that are due every 100 ms.
 void VehicleNode::send_slow(std::int64_t now_us, const lpvguard_plant::Sensors& sensors) {
     using lpvguard_plant::Wheel;
     lpvg_can_frame_t frame{};
@@ -138,7 +138,7 @@ void VehicleNode::put(const lpvg_can_frame_t& sent) {
     }
 }
 
-// A command goes out with its authenticator.
+// Sends a command with its authenticator.
 void VehicleNode::transmit(const lpvg_can_frame_t& frame) {
     bus_send(bus_, &frame);
     if (frame.id == lpvg_bus.command_id) {
@@ -148,7 +148,7 @@ void VehicleNode::transmit(const lpvg_can_frame_t& frame) {
     }
 }
 
-// What the fault makes of the frame; false when it does not go out (now).
+// Applies the fault to the frame. Returns false if the frame is not sent (now).
 bool VehicleNode::spoil(Fault& fault, lpvg_can_frame_t& frame, const lpvg_can_frame_t& before) {
     const bool first = !fault.holds;
     switch (fault.kind) {
@@ -184,13 +184,13 @@ bool VehicleNode::spoil(Fault& fault, lpvg_can_frame_t& frame, const lpvg_can_fr
         case CanFault::Kind::wrong_length: frame.dlc = 7; return true;
         case CanFault::Kind::unknown_id: send_beside(frame, LPVG_CAN_EXTENDED | 0x18FFEE00U); return true;
         case CanFault::Kind::babbling: send_beside(frame, frame.id); return true;
-        case CanFault::Kind::bus_off:  // concerns no single frame: off_the_bus
+        case CanFault::Kind::bus_off:  // affects no single frame, see off_the_bus
             break;
     }
     return true;
 }
 
-// Ten frames with random data; with the good ones, half of what 250 kbit/s carry in 10 ms.
+// Sends ten frames with random data. Together with the good frames, they are half the load of 250 kbit/s in 10 ms.
 void VehicleNode::send_beside(const lpvg_can_frame_t& frame, std::uint32_t id) {
     lpvg_can_frame_t beside = frame;
     beside.id = id;
@@ -202,7 +202,7 @@ void VehicleNode::send_beside(const lpvg_can_frame_t& frame, std::uint32_t id) {
     }
 }
 
-// The controller's own report is its last word; then nothing passes.
+// The controller's error report is the last frame. Then no frame passes.
 bool VehicleNode::off_the_bus(std::int64_t now_us) {
     bool off = false;
     for (Fault& fault : faults_) {

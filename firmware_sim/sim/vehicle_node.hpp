@@ -1,4 +1,4 @@
-/// @file vehicle_node.hpp -- the rest of the truck on the bus: sends what its sensors say, obeys the controller's demand.
+/// @file vehicle_node.hpp -- the rest of the truck on the bus: sends its sensor values, and obeys the controller's demand.
 #pragma once
 
 #include <cstdint>
@@ -15,7 +15,7 @@
 
 namespace lpvguard_sim {
 
-/// A trouble code as it was received; spn 0: none active.
+/// A received trouble code; spn 0: none active.
 struct TroubleCode {
     std::uint32_t spn = 0;
     std::uint8_t fmi = 0;
@@ -26,18 +26,18 @@ class VehicleNode {
 public:
     VehicleNode(const bus_t* bus, double steering_ratio, const std::vector<CanFault>& faults, std::uint64_t seed);
 
-    /// Goes on with these faults: those before, whose ends may differ after the newest time of send(), then new ones that begin after it.
+    /// Continues with these faults: the previous ones, possibly with other ends, then new ones. All changes are after the newest send().
     void revise(const std::vector<CanFault>& faults);
 
-    /// Sends the messages that are due at now (VDC2 and GUARD_IN every 10 ms, the others every 100 ms), faults applied. Faults are the
-    /// node's own: it authenticates each frame of GUARD_IN as the fault has left it.
+    /// Sends the messages that are due now, with their faults: VDC2 and GUARD_IN every 10 ms, the others every 100 ms. Faults act before
+    /// the authentication: the node authenticates each faulty frame of GUARD_IN.
     void send(std::int64_t now_us, const lpvguard_plant::Sensors& sensors, double command_radps);
 
-    /// Takes what has arrived. The demand is kept while GUARD_OUT is late, and is 0 once the supervision of GUARD_OUT says off.
+    /// Receives the frames that have arrived. The demand is kept while GUARD_OUT is late. It is 0 in the supervision state off.
     void receive(std::int64_t now_us);
 
     double demand_bar() const { return demand_bar_; }
-    const lpvg_bus_report_t& report() const { return report_; }  ///< Newest that was accepted; supervision reads off while none comes.
+    const lpvg_bus_report_t& report() const { return report_; }  ///< Newest accepted report; supervision is off without one.
     const TroubleCode& trouble() const { return trouble_; }
 
 private:
@@ -47,7 +47,7 @@ private:
     };
 
     struct Fault : CanFault {
-        lpvg_can_frame_t held{};  ///< repeated, stuck_counter: the message's frame before the window; swapped: not sent yet.
+        lpvg_can_frame_t held{};  ///< repeated, stuck_counter: the last frame before the fault; swapped: a frame that is not sent yet.
         bool holds = false;
     };
 
@@ -62,9 +62,9 @@ private:
     const bus_t* bus_;
     double steering_ratio_;
     std::vector<Fault> faults_;
-    std::map<std::uint32_t, lpvg_can_frame_t> newest_;  ///< Of each message, as it would have been sent.
+    std::map<std::uint32_t, lpvg_can_frame_t> newest_;  ///< Newest frame of each message without its fault.
     lpvguard_plant::Random random_;
-    std::vector<Delayed> delayed_;  ///< In order of sending.
+    std::vector<Delayed> delayed_;  ///< Delayed frames in order of sending.
     lpvg_can_supervisor_t supervisor_{};
     lpvg_can_auth_t authentication_{};
     std::uint8_t counter_ = 0;

@@ -10,7 +10,7 @@ namespace {
 
 using P = PlantParameters;
 
-/// One scalar of the file and the range in which the model means something.
+/// One scalar of the file and its meaningful range.
 struct Field {
     std::string_view section;
     std::string_view key;
@@ -65,7 +65,7 @@ constexpr Field fields[] = {
     {"surroundings", "wind_height_m", &P::wind_height_m, 0.0, 4.0},
 };
 
-/// One sensor: the section is the sensor, its three keys are those of SensorParameters.
+/// One sensor: the section names the sensor, and its three keys are the members of SensorParameters.
 struct SensorField {
     std::string_view section;
     SensorParameters P::* member;
@@ -89,13 +89,13 @@ struct SensorKey {
 
 constexpr SensorKey sensor_keys[] = {
     {"noise_rms", &SensorParameters::noise_rms, 0.0},
-    {"lsb", &SensorParameters::lsb, 1e-9},  // A grid needs a step: positive.
+    {"lsb", &SensorParameters::lsb, 1e-9},  // The step of a grid is positive.
     {"offset", &SensorParameters::offset, -1.0},
 };
 
 std::string dotted(std::string_view section, std::string_view key) { return std::string(section) + "." + std::string(key); }
 
-/// The value of `section.key = { value = ..., source = "..." }`, removed from `document` so that left-overs can be found.
+/// Returns the value of `section.key = { value = ..., source = "..." }`, and removes the key, so that unknown keys can be found.
 double take_value(toml::table& document, const std::string& file, std::string_view section, std::string_view key) {
     const std::string where = dotted(section, key);
     toml::table* const group = document[section].as_table();
@@ -187,13 +187,13 @@ PlantParameters load_parameters(const std::string& path) { return parse_paramete
 
 PlantParameters varied(const PlantParameters& nominal, const Variation& v) {
     PlantParameters p = nominal;
-    // Payload is carried by the frame: it adds to the sprung mass, and both inertias grow with the mass that causes them.
+    // The frame carries the payload. It adds to the sprung mass, and both inertias increase with their masses.
     p.mass_kg *= v.load_ratio;
     p.sprung_mass_kg += p.mass_kg - nominal.mass_kg;
     p.yaw_inertia_kgm2 *= v.load_ratio;
     p.roll_inertia_kgm2 *= p.sprung_mass_kg / nominal.sprung_mass_kg * v.cg_height_ratio * v.cg_height_ratio;
     p.cg_to_front_axle_m += v.cg_shift_m;
-    // The moment comes from the load that lateral acceleration shifts between the front wheels: it goes with the axle's load.
+    // The moment comes from the load transfer between the front wheels, so it is proportional to the axle load.
     p.lateral_acceleration_moment_nms2pm *=
         v.load_ratio * (p.wheelbase_m - p.cg_to_front_axle_m) / (nominal.wheelbase_m - nominal.cg_to_front_axle_m);
     p.sprung_cg_height_m *= v.cg_height_ratio;

@@ -10,13 +10,13 @@ namespace {
 constexpr double gravity_mps2 = 9.81;
 constexpr double air_density_kgpm3 = 1.2;
 
-/// The EBS keeps a braked wheel this far inside its friction limit, so that it still steers (an ideal anti-lock function).
+/// The EBS keeps a braked wheel within this share of its friction limit, so that the wheel still steers (an ideal anti-lock function).
 constexpr double usable_brake_share = 0.9;
 
 double square(double x) { return x * x; }
 
-/// Series for |x| <= 0.8 (the largest steering stop): error below 4e-7, 1e-12 in ordinary driving. It gives the same bits on
-/// machines with and without FMA, which libm does not.
+/// Series for |x| <= 0.8 (the largest steering stop), with an error below 4e-7, or 1e-12 in ordinary driving. Unlike libm, it gives
+/// the same bits on machines with and without FMA.
 double small_sine(double x) {
     const double x2 = x * x;
     return x * (1.0 - x2 / 6.0 * (1.0 - x2 / 20.0 * (1.0 - x2 / 42.0)));
@@ -27,7 +27,7 @@ double small_cosine(double x) {
     return 1.0 - x2 / 2.0 * (1.0 - x2 / 12.0 * (1.0 - x2 / 30.0 * (1.0 - x2 / 56.0)));
 }
 
-/// One step of the stationary first-order Gauss-Markov process of standard deviation rms; share = step / correlation length.
+/// One step of a stationary first-order Gauss-Markov process with standard deviation rms; share = step / correlation length.
 double gauss_markov(double value, double rms, double share, Random& random) {
     const double memory = 1.0 - share;
     return memory * value + rms * std::sqrt(1.0 - memory * memory) * random.normal();
@@ -137,7 +137,7 @@ double speed_at(const std::vector<SpeedKnot>& profile, double time_s, std::size_
     return from.speed_mps + (to.speed_mps - from.speed_mps) * (time_s - from.time_s) / (to.time_s - from.time_s);
 }
 
-// Of an ideal drive, at the end of the step that begins.
+// Speed of an ideal drive at the end of the step that begins now.
 double Plant::next_speed() {
     const auto& changes = drive_.speed_changes;
     const auto begun = std::find_if(changes.rbegin(), changes.rend(), [&](const SpeedChange& c) { return c.start_s <= truth_.time_s; });
@@ -185,7 +185,7 @@ Plant::Held Plant::hold(double demand_bar, double driver_torque_nm) {
     const double limit = p_.brake_pressure_limit_bar;
     delay_line_bar_[now & wrap] = std::isfinite(demand_bar) ? std::clamp(demand_bar, -limit, limit) : 0.0;
     const auto delay_steps = static_cast<std::size_t>(delay_s / step_s + 0.5);
-    // Before the first step nothing was demanded: those places of the line still hold 0.
+    // The demand before the first step is 0. The line holds these zeros.
     const double delayed_bar = delay_line_bar_[(now - delay_steps) & wrap];
 
     Held in{};
@@ -202,7 +202,7 @@ Plant::Held Plant::hold(double demand_bar, double driver_torque_nm) {
     return in;
 }
 
-// Length: the equations of plant.hpp in their order; each uses forces of the ones before and is read in one piece with them.
+// This function is long because it has all equations of plant.hpp in their order. Each one uses forces of the previous ones.
 Plant::State Plant::derivative(const State& x, const Held& in, Forces& forces) const {
     State dx{};
     const double vx = x[speed];
@@ -212,7 +212,7 @@ Plant::State Plant::derivative(const State& x, const Held& in, Forces& forces) c
     dx[pressure_left] = (in.demand_left_bar - x[pressure_left]) * in.inverse_lag_ps;
     dx[pressure_right] = (in.demand_right_bar - x[pressure_right]) * in.inverse_lag_ps;
 
-    // Wheel loads. The unsprung masses feel vx r + g e here, not A: A depends on the loads, and vy' is small beside it.
+    // Wheel loads. The unsprung masses use vx r + g e instead of A, because A depends on the loads, and vy' is small.
     const double felt_mps2 = vx * r + gravity_mps2 * in.bank_rad;
     const double front_roll_moment_nm =
         p_.roll_stiffness_front_nmprad * x[roll] + roll_damping_front_nmsprad_ * x[roll_rate] + unsprung_moment_front_kgm_ * felt_mps2;
@@ -221,7 +221,7 @@ Plant::State Plant::derivative(const State& x, const Held& in, Forces& forces) c
     const double longitudinal_n = longitudinal_transfer_kg_ * in.acceleration_mps2;
     const double mean_front_n = static_load_front_n_ - longitudinal_n;
     const double mean_rear_n = static_load_rear_n_ + longitudinal_n;
-    // Beyond lift-off the other wheel carries the axle.
+    // After lift-off, the other wheel carries the axle.
     const double shift_front_n = std::clamp(front_roll_moment_nm / p_.track_m, -mean_front_n, mean_front_n);
     const double shift_rear_n = std::clamp(rear_roll_moment_nm / p_.track_m, -mean_rear_n, mean_rear_n);
     forces.wheel_load_n = {mean_front_n - shift_front_n, mean_front_n + shift_front_n, mean_rear_n - shift_rear_n,
@@ -249,7 +249,7 @@ Plant::State Plant::derivative(const State& x, const Held& in, Forces& forces) c
     for (std::size_t i = 0; i < 4; ++i) {
         const double wheel_vx = body_vx[i] * cosine[i] + body_vy[i] * sine[i];
         const double wheel_vy = body_vy[i] * cosine[i] - body_vx[i] * sine[i];
-        // Slip relaxes whichever way the wheel rolls; with the sign it would grow without end in a truck that has spun round.
+        // Slip relaxes in both rolling directions. With the sign of the speed, it would grow without limit in a truck that has spun round.
         dx[slip + i] = (wheel_vy - std::fabs(wheel_vx) * x[slip + i]) * inverse_relaxation_pm;
 
         const double load_ratio = forces.wheel_load_n[i] * inverse_static_load[i];
@@ -259,14 +259,14 @@ Plant::State Plant::derivative(const State& x, const Held& in, Forces& forces) c
         forces.brake_force_n[i] = brake_squared < square(wanted_brake_n[i]) ? std::sqrt(brake_squared) : wanted_brake_n[i];
         const double limit_squared = grip_squared - brake_squared;
         const double linear_n = -stiffness_n * x[slip + i];
-        constexpr double lifted_wheel_n2 = 1e-6;  // A wheel in the air divides by this instead of by zero.
+        constexpr double lifted_wheel_n2 = 1e-6;  // Prevents a division by zero for a wheel in the air.
         forces.lateral_n[i] = linear_n * std::sqrt(limit_squared / (limit_squared + square(linear_n) + lifted_wheel_n2));
 
         body_x_n[i] = -forces.brake_force_n[i] * cosine[i] - forces.lateral_n[i] * sine[i];
         body_y_n[i] = forces.lateral_n[i] * cosine[i] - forces.brake_force_n[i] * sine[i];
     }
 
-    // Lateral and roll motion, solved for A and the roll acceleration.
+    // Lateral and roll motion: solves the equations for A and the roll acceleration.
     const double wind_n = side_force_factor_kgpm_ * vx * in.crosswind_mps;
     const double front_y_n = body_y_n[front_left] + body_y_n[front_right];
     const double rear_y_n = body_y_n[rear_left] + body_y_n[rear_right];
@@ -288,7 +288,7 @@ Plant::State Plant::derivative(const State& x, const Held& in, Forces& forces) c
                     wind_n * p_.wind_arm_m) /
                    p_.yaw_inertia_kgm2;
 
-    // Steering. Friction is Coulomb's, rounded near rest so that the step size need not resolve a jump.
+    // Steering. Coulomb friction is smoothed near rest, so that the step size need not resolve a jump.
     const double friction_nm =
         p_.kingpin_friction_nm * x[steer_rate] / std::sqrt(square(x[steer_rate]) + square(p_.kingpin_friction_blend_radps));
     const double steering_nm = -p_.trail_m * (forces.lateral_n[front_left] + forces.lateral_n[front_right]) -
@@ -377,7 +377,7 @@ double Plant::measured(Signal signal, double true_value, const SensorParameters&
             frozen = fault.frozen ? std::max(frozen, share) : frozen;
         }
     }
-    // Drawn even when frozen: a fault on one signal must not shift the noise of the others.
+    // Noise is drawn even for a frozen sensor, because a fault on one signal must not change the noise of the others.
     const double noise = std::sqrt(variance) * sensor_random_.normal();
     double& held = held_[static_cast<std::size_t>(signal)];
     if (frozen >= 1.0) {

@@ -31,7 +31,7 @@ double logarithm(double x) {
     return static_cast<double>(exponent) * log_2 + 2.0 * s * series;
 }
 
-/// AS 241, PPND7: the x whose cumulative normal probability is p.
+/// AS 241, PPND7: returns the x with the cumulative normal probability p.
 double normal_quantile(double p) {
     const double q = p - 0.5;
     if (std::fabs(q) <= 0.425) {
@@ -76,7 +76,7 @@ std::uint64_t Random::bits() {
 }
 
 double Random::uniform() {
-    // The 52 high bits, centred in their cells.
+    // Uses the 52 high bits; each value is the centre of its cell.
     return (static_cast<double>(bits() >> 12) + 0.5) * 0x1.0p-52;
 }
 

@@ -85,7 +85,7 @@ constexpr SignalName signal_names[signal_count] = {
     {"brake_pressure_right", Signal::brake_pressure_right},
 };
 
-/// One table of a scenario. Each key taken leaves it, so that done() can refuse what nobody asked for.
+/// One table of a scenario. Reading a key removes it, so that done() can refuse unknown keys.
 class Table {
 public:
     Table(toml::table table, const std::string& file, const std::string& where) : table_(std::move(table)), file_(file), where_(where) {}

@@ -1,4 +1,4 @@
-/// @file arguments.hpp -- "--name value" command lines, checked: unknown, repeated and unread options are errors.
+/// @file arguments.hpp -- reads "--name value" command lines. Unknown, repeated and unread options are errors.
 #pragma once
 
 #include <cstdint>
@@ -9,7 +9,7 @@
 
 namespace lpvguard_plant {
 
-/// A command line that cannot be understood; exit status 2.
+/// Error of a wrong command line; exit status 2.
 class UsageError : public std::runtime_error {
 public:
     using std::runtime_error::runtime_error;
@@ -25,7 +25,7 @@ public:
     double number(const std::string& name, double otherwise, double low, double high);
     std::vector<double> numbers(const std::string& name, double low, double high);  ///< Separated by commas. Throws when missing.
     std::uint64_t seed(const std::string& name, std::uint64_t otherwise);
-    void done() const;                                                ///< Throws when an option was never read.
+    void done() const;                                                ///< Throws if an option was never read.
 
 private:
     static double to_number(const std::string& name, const std::string& word, double low, double high);

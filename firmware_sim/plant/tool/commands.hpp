@@ -5,16 +5,16 @@
 
 namespace lpvguard_plant {
 
-/// Compares the plant with Table I and prints the differences. Returns 1 when they leave the limits, else 0.
+/// Compares the plant with Table I and prints the differences. Returns 1 if they exceed the limits, else 0.
 int frequency_response(Arguments arguments);
 
-/// Prints the frequency response of a scenario's truck, faults included, at one speed as CSV.
+/// Prints the frequency response of a scenario's truck, with its faults, at one speed as CSV.
 int response(Arguments arguments);
 
 /// Writes one seeded experiment as CSV.
 int generate(Arguments arguments);
 
-/// Runs the plant and prints a hash of every bit it produced: for comparing machines and for timing.
+/// Runs the plant and prints a hash of all its output bits, to compare machines and to measure time.
 int digest(Arguments arguments);
 
 }  // namespace lpvguard_plant

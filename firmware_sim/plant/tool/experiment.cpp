@@ -1,4 +1,4 @@
-/// @file experiment.cpp -- seeded experiments: a brake program, the truck, and what its sensors report.
+/// @file experiment.cpp -- seeded experiments: a brake program, the truck, and its sensor values.
 #include <array>
 #include <cerrno>
 #include <cmath>
@@ -16,7 +16,7 @@ namespace {
 constexpr double two_pi = 6.283185307179586477;
 constexpr double sample_s = Plant::step_s * Plant::steps_per_sample;
 
-/// Sine to 1e-9 for any moderate x by its series on [-pi/2, pi/2]; libm's last bit differs between machines.
+/// Sine with an error of 1e-9 for any moderate x, by its series on [-pi/2, pi/2]. The last bit of libm differs between machines.
 double sine(double x) {
     double folded = x - two_pi * std::floor(x / two_pi + 0.5);
     if (std::fabs(folded) > 0.25 * two_pi) {
@@ -26,7 +26,7 @@ double sine(double x) {
     return folded * (1.0 - f2 / 6.0 * (1.0 - f2 / 20.0 * (1.0 - f2 / 42.0 * (1.0 - f2 / 72.0 * (1.0 - f2 / 110.0 * (1.0 - f2 / 156.0))))));
 }
 
-/// The brake demand over time: one call per 10 ms.
+/// The brake demand over time, with one call per 10 ms.
 class Program {
 public:
     Program(const std::string& kind, double low_bar, double high_bar, double duration_s, std::uint64_t seed)
@@ -59,20 +59,20 @@ public:
 private:
     double amplitude_bar() { return random_.uniform(low_bar_, high_bar_); }
 
-    /// One side is braked for 1 to 4 s, then none for 1 to 4 s; the side is drawn.
+    /// Brakes a random side for 1 to 4 s, then no side for 1 to 4 s.
     void switch_pulse(double time_s) {
         const bool braking = level_bar_ != 0.0;
         level_bar_ = braking ? 0.0 : (random_.uniform() < 0.5 ? -1.0 : 1.0) * amplitude_bar();
         switch_s_ = time_s + random_.uniform(1.0, 4.0);
     }
 
-    /// From side to side, each stay 0.3 to 3 s and of its own amplitude: the excitation of short periods.
+    /// Alternates between the sides, 0.3 to 3 s each with a random amplitude, to excite short periods.
     void switch_telegraph(double time_s) {
         level_bar_ = (level_bar_ > 0.0 ? -1.0 : 1.0) * amplitude_bar();
         switch_s_ = time_s + random_.uniform(0.3, 3.0);
     }
 
-    /// 24 sines, logarithmic from 0.1 to 8 rad/s, together of rms amplitude_high / 2, clipped at amplitude_high.
+    /// 24 sines with logarithmic spacing from 0.1 to 8 rad/s and an rms of amplitude_high / 2, clipped at amplitude_high.
     double multisine(double time_s) const {
         double sum = 0.0;
         double omega_radps = 0.1;
@@ -84,7 +84,7 @@ private:
         return std::fmax(-high_bar_, std::fmin(high_bar_, scaled));
     }
 
-    /// A sine of amplitude_high from 0.1 to 30 rad/s, its frequency exponential in time, after one second without.
+    /// A sine of amplitude_high whose frequency rises exponentially from 0.1 to 30 rad/s, after one second without demand.
     double sweep(double time_s) const {
         constexpr double first_s = 1.0, lowest_radps = 0.1, span = 5.703782474656201;  // ln(30 / 0.1)
         if (time_s < first_s) {
@@ -100,10 +100,10 @@ private:
     std::array<double, 24> phases_{};
     std::int64_t samples_ = 0;
     double level_bar_ = 0.0;
-    double switch_s_ = 1.0;  ///< The first second is straight driving: whoever starts a model on the data starts it in equilibrium.
+    double switch_s_ = 1.0;  ///< The first second is straight driving, so that a model of the data starts in equilibrium.
 };
 
-/// A file that appears under its name only when complete.
+/// A file that gets its name only when it is complete.
 class ResultFile {
 public:
     explicit ResultFile(const std::string& path) : path_(path), temporary_(path + ".part") {
@@ -138,7 +138,7 @@ private:
     std::FILE* file_ = nullptr;
 };
 
-/// What `generate` and `digest` share: the truck, its program, and how long they run.
+/// Common part of `generate` and `digest`: the truck, its program, and the duration.
 struct Experiment {
     PlantParameters parameters;
     Scenario scenario;
@@ -201,7 +201,7 @@ int generate(Arguments arguments) {
     ResultFile result(path);
     std::fputs("t,v,dp,r,delta\n", result.handle());
     for (std::int64_t k = 0; k < experiment.samples; ++k) {
-        // Row k: what the sensors read at t, and the demand that holds from t to the next row.
+        // Row k holds the sensor values at t, and the demand from t to the next row.
         const double demand_bar = experiment.program.next();
         const Sensors& seen = plant->sensors();
         std::fprintf(result.handle(), "%.9g,%.9g,%.9g,%.9g,%.9g\n", static_cast<double>(k) * sample_s, seen.speed_mps, demand_bar,

@@ -1,12 +1,12 @@
-/// @file frequency_response.cpp -- how far the simulated truck is from the nominal model, measured as on a test track.
+/// @file frequency_response.cpp -- distance of the simulated truck from the nominal model, measured as on a test track.
 ///
-/// For each speed and frequency the truck is driven with a sine demand on a flat road without wind. After the transient its
-/// true yaw rate and road-wheel angle are correlated over whole periods with the difference of the pressures at the wheels, from
-/// which Table I is. Table I is copied here as the target of the comparison only; the plant does not know it.
+/// For each speed and frequency, the truck is driven with a sine demand on a flat road without wind. After the transient, its
+/// true yaw rate and road-wheel angle are correlated over whole periods with the pressure difference at the wheels, the input of
+/// Table I. Table I is only the target of this comparison. The plant does not use it.
 ///
-/// `response` prints what a controller meets: the response of a scenario's truck, as numbers, from a demand that is held over each
-/// sample of 10 ms to the true outputs at the sample instants, before the demand changes. Hold, brake delay and brake lag are in
-/// it. The controller's own sample of delay is not, nor are noise and number grids of the sensors.
+/// `response` prints the response that a controller meets, for a scenario's truck. Its input is a demand that is held over each
+/// sample of 10 ms. Its outputs are the true ones at the sample instants, just before the demand changes. It includes hold, brake
+/// delay and brake lag. It excludes the controller's own sample of delay, and the noise and quantisation of the sensors.
 #include <algorithm>
 #include <array>
 #include <cmath>
@@ -24,8 +24,8 @@ namespace {
 
 constexpr double two_pi = 6.283185307179586477;
 constexpr double lowest_radps = 0.2, judged_radps = 6.0, highest_radps = 30.0;
-// Limits of truck.toml's values against Table I, at each speed and for each output, up to judged_radps: above, Table I rolls off
-// and the direct yaw moment of the brakes does not. Friction of the kingpins makes the response depend on the amplitude.
+// Limits of the difference between truck.toml and Table I, for each speed and output, up to judged_radps. Above it, Table I rolls off,
+// but the direct yaw moment of the brakes does not. Kingpin friction makes the response depend on the amplitude.
 constexpr double judged_bar = 1.0;
 constexpr double largest_worst_ratio = 0.40;
 constexpr double least_median_ratio = 0.03;      ///< A plant equal to the model would prove nothing.
@@ -34,7 +34,7 @@ constexpr std::array<double, 8> speeds_mps{8.0, 10.0, 12.0, 14.0, 16.0, 18.0, 20
 
 using Complex = std::complex<double>;
 
-/// Per bar: yaw rate [rad/s], road-wheel angle [rad].
+/// Response per bar: yaw rate [rad/s], road-wheel angle [rad].
 struct Response {
     Complex yaw_rate, road_wheel;
 };
@@ -51,17 +51,17 @@ Response nominal(double speed_mps, double omega_radps) {
 
 constexpr long transient_steps = 25000;  // 10 time constants of the slowest pole (8 m/s).
 
-/// The response to a demand that is held over each sample, at the frequency nearest to the wanted one of which whole periods are
-/// whole samples.
+/// The response to a demand that is held over each sample. The frequency is the nearest one to the wanted frequency with whole
+/// periods in whole samples.
 struct HeldMeasurement {
     double omega_radps = 0.0;
     Response from_demand;
 };
 
 constexpr long transient_samples = transient_steps / Plant::steps_per_sample;
-constexpr long least_samples = 1000;     ///< Of a measurement: sets the frequency to 0.05 % and averages what is not periodic.
+constexpr long least_samples = 1000;     ///< Least length: frequency error 0.05 %, and non-periodic parts are averaged.
 
-/// On a flat road without wind.
+/// Response on a flat road without wind.
 PlantParameters undisturbed(PlantParameters parameters) {
     parameters.bank_rms_rad = 0.0;
     parameters.crosswind_mean_mps = 0.0;
@@ -75,7 +75,7 @@ std::unique_ptr<Plant> at_speed(const PlantParameters& parameters, double speed_
     return std::make_unique<Plant>(parameters, drive, 1, faults);
 }
 
-/// Of a constant demand.
+/// Response to a constant demand.
 Response steady(const PlantParameters& parameters, double speed_mps, double demand_bar, const Faults& faults) {
     const auto plant = at_speed(parameters, speed_mps, faults);
     for (long k = 0; k < 2 * transient_steps; ++k) {
@@ -84,7 +84,7 @@ Response steady(const PlantParameters& parameters, double speed_mps, double dema
     return {plant->truth().yaw_rate_radps / demand_bar, plant->truth().road_wheel_rad / demand_bar};
 }
 
-/// From the pressure difference at the wheels: without brake delay and lag.
+/// Response from the pressure difference at the wheels, without brake delay and lag.
 Response measure(const PlantParameters& parameters, double speed_mps, double omega_radps, double amplitude_bar) {
     const auto plant = at_speed(parameters, speed_mps, {});
     const auto period_steps = std::lround(two_pi / omega_radps / Plant::step_s);
@@ -133,7 +133,7 @@ HeldMeasurement measure_held(const PlantParameters& parameters, double speed_mps
     return {phase_per_sample / sample_s, {yaw_rate / demand, road_wheel / demand}};
 }
 
-/// Relative differences |G - G0| / |G0| of one transfer over the frequencies.
+/// Relative differences |G - G0| / |G0| of one transfer function over the frequencies.
 class Differences {
 public:
     void add(double omega_radps, Complex truth, Complex model) {
@@ -145,7 +145,7 @@ public:
         ratios_.push_back(ratio);
     }
 
-    /// Whether these limits hold.
+    /// Tells if these limits hold.
     bool within() const {
         const double middle = median();
         return middle >= least_median_ratio && middle <= largest_median_ratio && worst_ <= largest_worst_ratio;
@@ -222,7 +222,7 @@ int response(Arguments arguments) {
     const std::vector<double> omegas_radps = arguments.numbers("--omega", 0.0, 100.0);
     arguments.done();
     const PlantParameters parameters = undisturbed(varied(nominal_truck, scenario.variation));
-    // A fault that begins later is measured as if it had been there from the start.
+    // A fault that begins later is measured as if it began at the start.
     Faults faults = scenario.faults;
     for (ActuatorFault& fault : faults.actuators) {
         fault.window = {};

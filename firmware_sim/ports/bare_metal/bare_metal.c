@@ -1,9 +1,9 @@
-/* bare_metal.c -- the part of port.h that Cortex-M and Cortex-R share: Arm semihosting, the stack's depth, no heap. */
+/* bare_metal.c -- common part of port.h for Cortex-M and Cortex-R: Arm semihosting, depth of the stack, no heap. */
 #include "../port.h"
 
 #include <stddef.h>
 
-extern uint32_t __stack_limit; /* of the linker script: lowest word of the stack */
+extern uint32_t __stack_limit; /* from the linker script: lowest word of the stack */
 
 static const uint32_t paint = 0xA5C3F00Du;
 static const uint32_t* painted_from; /* stack pointer when the stack was painted */
@@ -32,7 +32,7 @@ void port_exit(int status) {
     }
 }
 
-/* SYS_READC: QEMU lays the character below the stack, and until 8.0 returns the one before it; so the memory is what counts. */
+/* SYS_READC: QEMU writes the character below the stack. Until 8.0 it returns the previous one, so this code reads the memory. */
 static uint8_t console_character(void) {
     register uint32_t r0 __asm__("r0") = 0x07u;
 #if __ARM_ARCH_PROFILE == 'M'
@@ -79,7 +79,7 @@ static const uint32_t* stack_pointer(void) {
     return sp;
 }
 
-/* Not inlined, and volatile: the compiler must neither move the writes nor see that nobody reads them. */
+/* This is not inlined and uses volatile, so that the compiler neither moves nor removes the writes. */
 __attribute__((noinline)) void port_stack_paint(void) {
     volatile uint32_t* word = &__stack_limit;
     painted_from = stack_pointer();

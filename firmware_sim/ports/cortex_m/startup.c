@@ -36,8 +36,8 @@ void fault(void) {
 __attribute__((section(".vectors"), used)) static const void* const vectors[16] = {
     &__stack_top, (const void*)reset, (const void*)fault, (const void*)fault, (const void*)fault, (const void*)fault, (const void*)fault};
 
-/* QEMU's processor models have no cycle counter, so SysTick: 24 bits at 25 MHz, counting down. Under -icount shift=7 an
- * instruction takes 128 ns, that is 3.2 ticks: exact to the instruction, at most 5.2 million of them. */
+/* QEMU's processor models have no cycle counter. SysTick replaces it: 24 bits at 25 MHz, counting down. Under -icount shift=7,
+ * an instruction takes 128 ns or 3.2 ticks. The count is exact to one instruction, up to 5.2 million instructions. */
 void port_counter_start(void) {
     SYST_CSR = 0u;
     SYST_RVR = 0xFFFFFFu;

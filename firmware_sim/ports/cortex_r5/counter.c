@@ -1,4 +1,4 @@
-/* counter.c -- the performance monitor's cycle counter, which QEMU advances by one an instruction under -icount shift=0. */
+/* counter.c -- the cycle counter of the performance monitor. Under -icount shift=0, QEMU adds one per instruction. */
 #include "../port.h"
 
 void port_counter_start(void) {

@@ -23,7 +23,7 @@ enum {
 };
 static const uint32_t software_reset = 1u << 0, enable = 1u << 1, tx_full = 1u << 10, rx_not_empty = 1u << 7;
 
-/* Each access to a register takes QEMU's one lock; on one processor its input thread would never get it from a tight loop. */
+/* Each access to a register takes QEMU's single lock. On one processor, a tight loop would keep it from the input thread. */
 static void leave_the_lock(void) {
     volatile int idle;
     for (idle = 0; idle < 2000; ++idle) {
@@ -43,11 +43,11 @@ static bool take_frame(lpvg_can_frame_t* frame) {
     if ((CAN0(ISR) & rx_not_empty) == 0u) {
         return false;
     }
-    frame->id = CAN0(RX + ID); /* reading it moves the queue on */
+    frame->id = CAN0(RX + ID); /* reading advances the queue */
     frame->dlc = (uint8_t)(CAN0(RX + DLC) >> 28);
     unpack(CAN0(RX + DATA1), &frame->data[0]);
     unpack(CAN0(RX + DATA2), &frame->data[4]);
-    CAN0(ICR) = rx_not_empty; /* set again while there are more */
+    CAN0(ICR) = rx_not_empty; /* set again while more frames wait */
     return true;
 }
 
@@ -75,7 +75,7 @@ static bool receive_frame(void* driver, int64_t now_us, lpvg_can_frame_t* frame)
         *frame = self->queue[self->tail++ % CAN0_QUEUE];
         frame->t_us = now_us;
         if (!off && (frame->id & LPVG_CAN_ERROR) != 0u && (frame->id & LPVG_CAN_BUS_OFF) != 0u) {
-            self->bus_off = true; /* the report is handed on */
+            self->bus_off = true; /* the report is passed on */
             self->bus_off_us = now_us;
         }
         if (!off) {

@@ -1,8 +1,8 @@
-// main.cpp -- the ECU's firmware on the emulated Cortex-R5F (QEMU xlnx-zcu102): its own CAN controller, led through simulated time.
+// main.cpp -- the ECU's firmware on the emulated Cortex-R5F (QEMU xlnx-zcu102) with its own CAN controller, in simulated time.
 //
-// The time line (time_line.h) is the semihosting console. A read of it stops the processor until the host has written, so an
-// emulated ECU that waits takes no time of the PC's. The command line is "yes" or "no": engage or not. At the end the supervision's
-// counters and the instructions of the ticks are written as JSON. The instructions are of firmware_tick alone, by the processor's
+// The time line (time_line.h) is the semihosting console. Reading it stops the processor until the host has written, so a
+// waiting ECU takes no time of the PC. The command line is "yes" (engage) or "no". At the end, the program writes the counters
+// of the supervision and the instructions of the ticks as JSON. These are the instructions of firmware_tick, from the processor's
 // own counter.
 #include "can0.h"
 #include "firmware.h"

@@ -30,7 +30,7 @@ void write_row(Text& out, std::uint32_t id, unsigned state, const std::uint32_t*
     out.put("]]");
 }
 
-// What was refused before the supervision; null without a key.
+// Counts of the authentication, which precedes the supervision; null without a key.
 void write_authentication(Text& out, const lpvg_can_auth_t& of) {
     if (of.config.cmac == nullptr) {
         out.put("null");

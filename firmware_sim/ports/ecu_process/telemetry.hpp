@@ -1,31 +1,31 @@
-/// @file telemetry.hpp -- what a simulator may ask of an ECU beside the frames on its bus. Not part of the loop.
+/// @file telemetry.hpp -- data that a simulator can request from an ECU, in addition to the frames on its bus. Not part of the loop.
 ///
-/// It goes over the time line (time_line.h), in a layout that every processor shares.
+/// The data use the time line (time_line.h), in a layout that all processors share.
 #pragma once
 
 #include <cstdint>
 
 #include "firmware.h"
 
-/// A frame that the monitor has judged, and what the other tests said meanwhile.
+/// A frame that the monitor judged, and the results of the other tests meanwhile.
 struct Judged {
-    std::int64_t t_end_us;  ///< of the frame's last sample
+    std::int64_t t_end_us;  ///< time of the frame's last sample
     std::uint32_t sequence, bin, reason, falsified;  ///< as in lpvg_frame_t
-    double speed_mps, margin, statistic, evidence;   ///< likewise
-    double energy_ratio, change_ratio;  ///< largest ratios of the energy test and of the change test since the frame before
+    double speed_mps, margin, statistic, evidence;   ///< as in lpvg_frame_t
+    double energy_ratio, change_ratio;  ///< largest ratios of the energy test and of the change test since the previous frame
 };
 
-/// What the diagnosis of an alarm found of an output.
+/// Result of the diagnosis of an alarm for one output.
 struct Found {
-    std::int64_t t_alarm_us, t_onset_us;  ///< of the alarm's block; of the onset
-    std::uint32_t alarm, output, cause, before;  ///< number of the alarm since init, index, the others as in lpvg_found_t
-    double value, low, high;              ///< likewise
+    std::int64_t t_alarm_us, t_onset_us;  ///< time of the alarm's block; time of the onset
+    std::uint32_t alarm, output, cause, before;  ///< number of the alarm since init; index; fields of lpvg_found_t
+    double value, low, high;              ///< as in lpvg_found_t
 };
 
-/// What the supervision of the ECU's bus has counted: saturating, kinds in the order of lpvg_can_event_t.
+/// Saturating counters of the supervision of the ECU's bus, in the order of lpvg_can_event_t.
 struct Supervision {
     struct Watch {
-        std::uint32_t id;  ///< as supervised, without flags
+        std::uint32_t id;  ///< supervised identifier without flags
         std::uint32_t state, score, missed;  ///< as in lpvg_can_watch_t
         std::uint32_t count[lpvg_can_event_count];
     };
@@ -37,10 +37,10 @@ struct Supervision {
 static_assert(sizeof(Judged) == 72 && sizeof(Found) == 56 && sizeof(Supervision) == 4 * (2 + 18 + 8 * 22),
               "no padding: the same on every processor");
 
-/// Notices what the monitor judges.
+/// Detects new judged frames of the monitor.
 class Judgements {
 public:
-    /// Call after every tick. True: a frame has been judged in it, newest().
+    /// Call it after every tick. Returns true if a frame was judged in the tick; newest() returns it.
     bool note(const firmware_t& firmware);
     const Judged& newest() const { return newest_; }
 
@@ -49,10 +49,10 @@ private:
     double energy_ratio_ = 0.0, change_ratio_ = 0.0;
 };
 
-/// Notices when causes are found.
+/// Detects new causes of alarms.
 class Findings {
 public:
-    /// Call after every firmware_idle. True: an alarm's causes were found in it, newest() an output each.
+    /// Call it after every firmware_idle. Returns true if causes of an alarm were found; newest() returns one for each output.
     bool note(const firmware_t& firmware);
     const Found (&newest() const)[LPVG_NY] { return newest_; }
 

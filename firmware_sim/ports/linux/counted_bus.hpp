@@ -1,7 +1,7 @@
-/// @file counted_bus.hpp -- a SocketCAN bus that knows how many frames are due, for lock-step by simulated time.
+/// @file counted_bus.hpp -- a SocketCAN bus that knows how many frames are due, for lock-step with simulated time.
 ///
-/// While fewer than `due` frames have come, receive waits up to a second for the next; then it takes what is there. So a run gives
-/// the same frames whatever the machine's speed, and frames that others send come on top.
+/// While fewer than `due` frames have arrived, receive waits up to a second for the next one. A run therefore gives the same
+/// frames at every speed of the machine. Frames of other senders are additional.
 #pragma once
 
 #include <cstdint>
@@ -10,12 +10,12 @@
 
 class CountedBus {
 public:
-    /// Opens `interface`; times of frames are those of the call. False with the reason in driver().error.
+    /// Opens `interface`. Times of frames are those of the call. Returns false with the reason in driver().error.
     bool open(const char* interface, const socketcan_filter_t* filters, std::size_t n_filters) {
         end_ = {this, &CountedBus::send, &CountedBus::receive};
         return socketcan_open(&driver_, interface, filters, n_filters, socketcan_time_now, &raw_);
     }
-    /// `heard`: which of the frames sent the other end's filter lets through (null: all); the rest are not counted.
+    /// `heard` tells which sent frames pass the filter of the other end (null: all). Only these frames are counted.
     explicit CountedBus(bool (*heard)(const lpvg_can_frame_t*) = nullptr) : heard_(heard) {}
     CountedBus(const CountedBus&) = delete;
     CountedBus& operator=(const CountedBus&) = delete;
@@ -24,14 +24,14 @@ public:
     const bus_t* end() const { return &end_; }
     const socketcan_t& driver() const { return driver_; }
 
-    /// From now on `frames` are due.
+    /// Sets the number of due frames from now on.
     void expect(std::uint64_t frames) {
         due_ = frames;
         received_ = 0;
     }
     bool waited_in_vain() const { return in_vain_; }
 
-    /// Frames sent since the last call that the other end hears.
+    /// Returns the number of frames since the last call that pass the filter of the other end.
     std::uint64_t take_sent() {
         const std::uint64_t sent = sent_;
         sent_ = 0;
@@ -39,7 +39,7 @@ public:
     }
 
 private:
-    static constexpr int patience_ms = 1000;  // a kernel that keeps a frame longer has lost it
+    static constexpr int patience_ms = 1000;  // after this time, the kernel has lost the frame
 
     static bool send(void* self, const lpvg_can_frame_t* frame) {
         auto& bus = *static_cast<CountedBus*>(self);

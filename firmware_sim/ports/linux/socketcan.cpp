@@ -25,7 +25,7 @@ bool set(int socket, int level, int name, const T& value) {
 }
 
 bool set_filters(int socket, const socketcan_filter_t* filters, size_t n) {
-    // In a filter the kernel reads the error flag otherwise: in the mask as "error reports only", in the id as "inverted".
+    // In a filter, the error flag has another meaning for the kernel: "error reports only" in the mask, "inverted" in the id.
     can_filter kernel[SOCKETCAN_FILTERS_MAX];
     for (size_t i = 0; i < n; ++i) {
         kernel[i].can_id = filters[i].id & ~CAN_ERR_FLAG;
@@ -54,7 +54,7 @@ bool open_socket(socketcan_t& self) {
     return true;
 }
 
-// Ends the bus-off when its time is over; true while it lasts.
+// Ends the bus-off when its time is over. Returns true during the bus-off.
 bool still_off(socketcan_t& self, int64_t now_us) {
     if (self.bus_off && now_us - self.bus_off_us >= SOCKETCAN_RESTART_US) {
         socketcan_close(&self);
@@ -62,7 +62,7 @@ bool still_off(socketcan_t& self, int64_t now_us) {
             self.bus_off = false;
             ++self.restarts;
         } else {
-            self.bus_off_us = now_us;  // the interface is not there: try again
+            self.bus_off_us = now_us;  // the interface is missing: try again
         }
     }
     return self.bus_off;
@@ -91,13 +91,13 @@ bool send(void* driver, const lpvg_can_frame_t* frame) {
 
 int64_t microseconds(const timespec& t) { return static_cast<int64_t>(t.tv_sec) * 1'000'000 + t.tv_nsec / 1'000; }
 
-// How long the frame lay in the socket's queue.
+// Returns the time for which the frame was in the socket's queue.
 int64_t waited_us(msghdr& message) {
     for (cmsghdr* c = CMSG_FIRSTHDR(&message); c != nullptr; c = CMSG_NXTHDR(&message, c)) {
         if (c->cmsg_level == SOL_SOCKET && c->cmsg_type == SCM_TIMESTAMPNS) {
             timespec stamp{}, now{};
             std::memcpy(&stamp, CMSG_DATA(c), sizeof stamp);
-            clock_gettime(CLOCK_REALTIME, &now);  // the clock that the kernel stamps with
+            clock_gettime(CLOCK_REALTIME, &now);  // the clock of the kernel's time stamps
             return std::max<int64_t>(microseconds(now) - microseconds(stamp), 0);
         }
     }
@@ -138,7 +138,7 @@ bool receive(void* driver, int64_t now_us, lpvg_can_frame_t* frame) {
         if (!off) {
             return true;
         }
-        // A controller that is off hears nothing; others on a vcan are not told so.
+        // A controller in bus-off receives nothing. On a vcan, other nodes do not notice the bus-off.
     }
     return false;
 }

@@ -3,10 +3,10 @@
 //   lpvguard_ecu INTERFACE [--engage yes|no] [--reactions release|report] [--key test|none] [--time-line FD | --seconds S]
 //
 // --key none: commands need no authenticator, and every report says so (default: the simulator's key).
-// Without --time-line it runs in real time, a tick every sample period of CLOCK_MONOTONIC, until SIGINT, SIGTERM or S seconds.
-// With it, in simulated time: FD is one end of a socket pair (stream), the other is the simulator's (time_line.h).
-// The kernel lets through what the supervision has a rule for, authenticators, any priority, and error reports. At the end the
-// supervision's counters are written as JSON (reception.hpp).
+// Without --time-line, the program runs in real time until SIGINT, SIGTERM or S seconds, with a tick every sample period.
+// With --time-line, it runs in simulated time. FD is one end of a socket pair (stream); the simulator has the other (time_line.h).
+// The kernel passes frames with a rule of the supervision at any priority, authenticators, and error reports. At the end, the
+// program writes the supervision's counters as JSON (reception.hpp).
 #include <cerrno>
 #include <csignal>
 #include <cstdio>
@@ -111,7 +111,7 @@ int run_on_time_line(const Options& options, const lpvg_ecu_config_t& config) {
     };
     time_request_t request{};
     time_answer_t answer{};
-    // The first answer says that the socket is open: what is sent from now on arrives.
+    // The first answer tells that the socket is open, so that later frames arrive.
     bool sent = send(&answer, sizeof answer);
     while (sent && ::recv(options.time_line, &request, sizeof request, MSG_WAITALL) == static_cast<ssize_t>(sizeof request) &&
            request.now_us >= 0) {
@@ -158,7 +158,7 @@ int run_in_real_time(const Options& options, const lpvg_ecu_config_t& config) {
         }
         timespec now{};
         clock_gettime(CLOCK_MONOTONIC, &now);
-        (void)!firmware_tick(&firmware, micros(now));  // a tick that comes at once after a late one is refused: time must move
+        (void)!firmware_tick(&firmware, micros(now));  // a tick directly after a late one is refused, because its time is too early
         firmware_idle(&firmware);
         reception.note(firmware.ecu.supervisor, micros(now) - start_us);
     }

@@ -8,7 +8,7 @@ constexpr uint32_t kPeriodMinUs = 4U;
 constexpr uint32_t kPeriodMaxUs = 10'000'000U;
 constexpr uint8_t kFrameBytes = 8U;
 
-// CRC-8 with polynomial 0x1D, a byte at a time: entry n is the remainder of n * x^8.
+// Table for a CRC-8 with polynomial 0x1D, one byte at a time. Entry n is the remainder of n * x^8.
 struct CrcTable {
     uint8_t entry[256];
     constexpr CrcTable() : entry() {
@@ -54,7 +54,7 @@ bool sane(const lpvg_can_rule_t& rule) {
     return true;
 }
 
-// A signal of at most 16 bits lies in at most three bytes; what the frame has no more of, it does not reach.
+// A signal of at most 16 bits lies in at most three bytes. Bytes beyond the frame are not read.
 uint16_t extract(const lpvg_can_frame_t& frame, const lpvg_can_signal_rule_t& s) {
     const uint32_t first = s.start >> 3U;
     uint32_t bits = frame.data[first];
@@ -78,7 +78,7 @@ lpvg_can_event_t judge_signal(const lpvg_can_signal_rule_t& s, uint16_t raw, con
         return lpvg_can_event_range;
     }
     if (before != nullptr && s.rate_max > 0U) {
-        // |change| > rate * dt + 1 without a division; dt stays below 6 of the longest periods, so in 32 bits.
+        // This is |change| > rate * dt + 1 without a division. dt is less than 6 of the longest periods, so it fits in 32 bits.
         const uint32_t change = raw > *before ? raw - *before : *before - raw;
         const auto dt = static_cast<uint32_t>(dt_us);
         if (change > 1U && static_cast<uint64_t>(change - 1U) * 1'000'000U > static_cast<uint64_t>(s.rate_max) * dt) {
@@ -88,11 +88,11 @@ lpvg_can_event_t judge_signal(const lpvg_can_signal_rule_t& s, uint16_t raw, con
     return lpvg_can_event_accepted;
 }
 
-// Signals of an otherwise good frame; `raw` receives them.
+// Judges the signals of a frame that is otherwise good, and writes them to `raw`.
 lpvg_can_event_t judge_signals(const lpvg_can_rule_t& rule, const lpvg_can_watch_t& watch, const lpvg_can_frame_t& frame,
                                uint16_t (&raw)[LPVG_CAN_SIGNALS_MAX]) {
-    // Jitter brings frames closer together than their values were taken: at least one period has passed for those.
-    // A message that is older than the switch-off has no value to compare with, so the product below stays small.
+    // With jitter, frames come closer together than their values were sampled. The values are at least one period apart.
+    // After the switch-off there is no old value for a comparison, so the product below stays small.
     const int64_t age_us = frame.t_us - watch.t_accepted_us;
     const int64_t dt_us = age_us < rule.period_us ? rule.period_us : age_us;
     for (uint8_t i = 0U; i < rule.n_signals; ++i) {
@@ -105,8 +105,8 @@ lpvg_can_event_t judge_signals(const lpvg_can_rule_t& rule, const lpvg_can_watch
     return lpvg_can_event_accepted;
 }
 
-// Checksum and counter. The counter of a frame with a right checksum is always remembered, so that a sender which
-// started anew is followed after one rejection.
+// Judges checksum and counter. The counter of a frame with a right checksum is always stored. After a restart of the
+// sender, only one frame is therefore rejected.
 lpvg_can_event_t judge_protection(const lpvg_can_rule_t& rule, lpvg_can_watch_t& watch, const lpvg_can_frame_t& frame) {
     if (e2e_crc(frame, rule.e2e_data_id) != frame.data[0]) {
         return lpvg_can_event_checksum;
@@ -133,7 +133,7 @@ lpvg_can_event_t judge_protection(const lpvg_can_rule_t& rule, lpvg_can_watch_t&
 
 constexpr uint8_t fast_short = 1U, fast_long = 2U;
 
-// Whether the newest arrivals came faster than one sender sends: over a few, then over many, which begin anew behind a burst.
+// Tells if frames arrive faster than one sender sends, over few and over many arrivals. Counting restarts after a burst.
 void count_arrival(const lpvg_can_rule_t& rule, lpvg_can_watch_t& watch, int64_t t_us) {
     const int64_t period = rule.period_us;
     if (watch.has_arrival == 0U) {
@@ -190,15 +190,15 @@ void switch_off(lpvg_can_watch_t& watch) {
     watch.window_bad = 0U;
 }
 
-// The newest frame of the window.
+// Adds the newest frame to the window of errors.
 void note(lpvg_can_watch_t& watch, bool bad) {
     const bool oldest_bad = (watch.window >> (LPVG_CAN_WINDOW - 1U)) != 0U;
     watch.window = static_cast<uint16_t>((static_cast<uint32_t>(watch.window) << 1U) | (bad ? 1U : 0U));
     watch.window_bad = static_cast<uint8_t>(watch.window_bad + (bad ? 1U : 0U) - (oldest_bad ? 1U : 0U));
 }
 
-// Whether a bad frame shows a second sender: its counter is the newest accepted one's, and it comes sooner behind that than a sender
-// repeats. A frame that jitter makes early has the next counter, and one that is sent again in the place of the next keeps the period.
+// Tells if a bad frame shows a second sender: it repeats the newest accepted counter, and it comes earlier than any repetition of the
+// sender. A frame that is early by jitter has the next counter. A repeated frame that replaces the next one keeps the period.
 bool foreign(const lpvg_can_rule_t& rule, const lpvg_can_watch_t& watch, const lpvg_can_frame_t& frame, lpvg_can_event_t event) {
     const bool same = rule.e2e != 0U && watch.has_counter != 0U && (frame.data[1] & 0x0FU) == watch.counter;
     const bool soon = 4 * (frame.t_us - watch.t_accepted_us) < 3 * static_cast<int64_t>(rule.period_us);
@@ -226,7 +226,7 @@ void take_bad(lpvg_can_watch_t& watch, bool from_foreign) {
     }
 }
 
-// Returns what the frame may be used for.
+// Takes a good frame. Returns whether the frame may be used.
 lpvg_can_event_t take_good(lpvg_can_watch_t& watch, int64_t t_us, const uint16_t (&raw)[LPVG_CAN_SIGNALS_MAX]) {
     watch.t_accepted_us = t_us;
     watch.missed = 0U;
@@ -255,9 +255,9 @@ void advance(lpvg_can_watch_t& watch, const lpvg_can_rule_t& rule, int64_t now_u
     const int64_t period = rule.period_us;
     const int64_t late = now_us - watch.t_accepted_us - period / 2 - static_cast<int64_t>(watch.missed) * period;
     if (late <= period) {
-        return;  // no further period missed: the common case, without a division
+        return;  // no further period is missed; this common case needs no division
     }
-    // More than 2^32 us at once are counted in the calls that follow.
+    // A delay beyond 2^32 us is counted in the following calls.
     const uint32_t whole = (late > UINT32_MAX ? UINT32_MAX : static_cast<uint32_t>(late - 1)) / rule.period_us;
     add(watch.count[lpvg_can_event_missed], whole);
     add(watch.missed, whole);
@@ -268,7 +268,7 @@ void advance(lpvg_can_watch_t& watch, const lpvg_can_rule_t& rule, int64_t now_u
     }
 }
 
-// Steps one check by one sample: `deviation` beyond `limit` is a violation.
+// Takes one sample of a check. A `deviation` beyond `limit` is a violation.
 void plausibility_step(lpvg_can_plausibility_t& self, uint8_t check, float deviation, float limit, uint16_t confirm) {
     const auto flag = static_cast<uint8_t>(1U << check);
     const bool violation = deviation > limit || deviation < -limit;

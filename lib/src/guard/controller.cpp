@@ -16,7 +16,7 @@ constexpr std::size_t nk = LPVG_NK, nm = LPVG_NM, nu = LPVG_NU, nq = nm + nu;
 
 void count(uint32_t& counter) { counter += counter < UINT32_MAX ? 1U : 0U; }
 
-// Zero times a number that is not finite is not a number, and stays so.
+// Zero times infinity or NaN is NaN, and the sum then stays NaN.
 bool all_finite_at(const Real* values, std::size_t n) {
     Real probe = Real(0);
     for (std::size_t i = 0; i < n; ++i) {
@@ -25,30 +25,30 @@ bool all_finite_at(const Real* values, std::size_t n) {
     return probe >= Real(0);
 }
 
-// Where a speed lies between the nodes.
+// Position of a speed between the nodes.
 struct Place {
-    std::size_t node;  // the one below
-    Real weight;       // of the one above
+    std::size_t node;  // lower node
+    Real weight;       // weight of the upper node
 };
 
 Place place(const lpvg_control_reals_t& r, Real speed) {
     const Real inside = speed < r.speed_min ? r.speed_min : (speed > r.speed_max ? r.speed_max : speed);
     const Real position = (inside - r.speed_min) / (r.speed_max - r.speed_min) * Real(LPVG_NG - 1);
-    // Damaged coefficients may make no number of it; it is never above LPVG_NG - 1.
+    // Damaged coefficients may make the position NaN. It is never above LPVG_NG - 1.
     const Real bounded = position > Real(0) ? position : Real(0);
     auto node = static_cast<std::size_t>(bounded);
     node = node < LPVG_NG - 1U ? node : LPVG_NG - 2U;
     return {node, bounded - static_cast<Real>(node)};
 }
 
-// Largest |demand i| at a place between the nodes.
+// Largest |demand i| at a position between the nodes.
 Real limit_at(const lpvg_control_reals_t& r, const Place& at, std::size_t i) {
     const Real below = r.u_max[at.node][i];
     return below + at.weight * (r.u_max[at.node + 1U][i] - below);
 }
 
-// What drives the states, q = (m, u - v), split between the node below and the one above: weighing q once saves
-// interpolating every coefficient.
+// Input of the states, q = (m, u - v), divided between the lower and the upper node. Weighting q once replaces the
+// interpolation of every coefficient.
 struct Drive {
     const Real (*below)[nk][nq];
     const Real (*above)[nk][nq];
@@ -62,7 +62,7 @@ struct Drive {
             q_below[c] = q - q_above[c];
         }
     }
-    // Adds row j of B and L times q, for demand i; one chain of additions, written out by the compiler.
+    // Adds row j of B and L times q, for demand i. The compiler unrolls this into one chain of additions.
     Real added(Real sum, std::size_t i, std::size_t j) const {
         return added(sum, below[i][j], above[i][j], std::make_index_sequence<nq>());
     }
@@ -89,7 +89,7 @@ Real towards(Real from, Real target, Real step) {
     return target > from + step ? from + step : (target < from - step ? from - step : target);
 }
 
-// Moves x so that C x = u and, m given and no limit acting, C (A x + B m) = u.
+// Changes x so that C x = u. With m and without limits, C (A x + B m) = u then also holds.
 void align(const lpvg_control_reals_t& r, const Place& at, const Real* m, const Real* u, const Real* v, Real (*x)[nk]) {
     const Real nothing[nu] = {};
     const Drive drive(r, at, m, nothing);
@@ -111,7 +111,7 @@ void clear(lpvg_control_t& self) {
     std::memset(self.carry, 0, sizeof self.carry);
 }
 
-// The state after a change in which carry, what rounding took from the one before, is already contained.
+// Adds a change to a state. The change already contains `carry`, the rounding error of the previous change.
 Real moved(Real x, Real change, Real& carry) {
     const Real next = x + change;
     carry = change - (next - x);
@@ -212,7 +212,7 @@ extern "C" lpvg_status_t lpvg_control_step_within(lpvg_control_t* self, lpvg_rea
         align(r, at, m, self->u, v, self->x);
         wanted(self->x, v);
     }
-    if (!lpvguard::every(v, [](Real each) { return std::isfinite(each); })) {  // the states have grown beyond the numbers
+    if (!lpvguard::every(v, [](Real each) { return std::isfinite(each); })) {  // the states are too large for the number type
         good = false;
         clear(*self);
         wanted(self->x, v);

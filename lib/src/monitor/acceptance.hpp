@@ -1,4 +1,4 @@
-// acceptance.hpp -- what every coefficient struct of the core has in common: 32-bit words, then numbers, under one CRC.
+// acceptance.hpp -- common form of the core's coefficient structs: 32-bit words, then numbers, with one CRC.
 #pragma once
 
 #include <cmath>
@@ -13,11 +13,11 @@ namespace lpvguard {
 
 static_assert(sizeof(lpvg_real_t) == 4U || sizeof(lpvg_real_t) == 8U, "float or double");
 
-// Words and numbers of a struct of coefficients.
+// Number of words and numbers in a struct of coefficients.
 template <class Coeff>
 constexpr std::size_t n_items = sizeof(Coeff::words) / sizeof(uint32_t) + sizeof(Coeff::reals) / sizeof(lpvg_real_t);
 
-// Goes on with a CRC-32 (ISO-HDLC) over coeff.words, its crc32 read as zero, and coeff.reals, from item `first` up to `end`.
+// Continues a CRC-32 (ISO-HDLC) over coeff.words and coeff.reals, from item `first` to before `end`. The word crc32 reads as zero.
 template <class Coeff>
 uint32_t crc32_items(uint32_t crc, const Coeff& coeff, std::size_t first, std::size_t end) {
     using Bits = std::conditional_t<sizeof(lpvg_real_t) == 4U, uint32_t, uint64_t>;
@@ -38,7 +38,7 @@ uint32_t coefficients_crc32(const Coeff& coeff) {
     return ~crc32_items(crc32_start, coeff, 0U, n_items<Coeff>);
 }
 
-// Of the words of anything plain: another one where a single bit has flipped. Four words a turn, for a sample has no time for more turns.
+// Sum of the words of a plain struct or array. One flipped bit changes it. The loop adds four words per turn, to save time.
 template <class Items>
 uint32_t sum_of_words(const Items& items) {
     constexpr std::size_t n_bytes = sizeof(Items), n = n_bytes / sizeof(uint32_t), n_fours = n / 4U;
@@ -54,7 +54,7 @@ uint32_t sum_of_words(const Items& items) {
     return sum;
 }
 
-// Whether a condition holds for a number, or for every number of an array of any rank.
+// Tells if a condition holds for a number, or for every number of an array of any rank.
 template <class Items, class Condition>
 bool every(const Items& items, Condition holds) {
     if constexpr (std::is_array<Items>::value) {

@@ -18,7 +18,7 @@ template <int N>
 using Row = Eigen::Array<Real, N, 1>;
 constexpr Real beyond = std::numeric_limits<Real>::infinity();
 
-// x with A x = b of a symmetric positive definite A, given as its upper triangle row by row: Cholesky without roots.
+// Solves A x = b by Cholesky without roots. A is symmetric and positive definite, stored as its upper triangle row by row.
 Row<parts> solution(const Row<6>& A, const Row<parts>& b) {
     const Real first = Real(1) / A[0];
     const Real p = A[1] * first, q = A[2] * first;
@@ -34,7 +34,7 @@ Row<parts> solution(const Row<6>& A, const Row<parts>& b) {
 }  // namespace
 
 extern "C" void lpvg_change_start(lpvg_change_t* self) {
-    *self = lpvg_change_t{};  // the sum of nothing but zeros is 0
+    *self = lpvg_change_t{};  // the check sum of zeros is 0
 }
 
 extern "C" void lpvg_change_take(lpvg_change_t* self, const lpvg_real_t* signal) {

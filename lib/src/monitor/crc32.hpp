@@ -8,7 +8,7 @@
 
 namespace lpvguard {
 
-// Entry n is the remainder of n * x^4: half a byte at a time, for a table of 64 bytes.
+// Entry n is the remainder of n * x^4. With half a byte at a time, the table only needs 64 bytes.
 struct Crc32Table {
     uint32_t entry[16];
     constexpr Crc32Table() : entry() {
@@ -24,13 +24,13 @@ struct Crc32Table {
 };
 inline constexpr Crc32Table crc32_table;
 
-// A byte that is already in crc is taken in.
+// Processes a byte that has already been added to crc.
 inline uint32_t crc32_taken(uint32_t crc) {
     crc = (crc >> 4U) ^ crc32_table.entry[crc & 0xFU];
     return (crc >> 4U) ^ crc32_table.entry[crc & 0xFU];
 }
 
-// Least significant byte first whatever the target's byte order, which is the order in which 32 bits are taken in at once.
+// Processes a word with its least significant byte first, for every byte order of the target. It adds 32 bits to crc at once.
 template <class Word>
 uint32_t crc32_word(uint32_t crc, Word word) {
     for (std::size_t taken = 0; taken < 8U * sizeof(Word); taken += 32U) {
@@ -42,7 +42,7 @@ uint32_t crc32_word(uint32_t crc, Word word) {
     return crc;
 }
 
-// Item i of a struct that consists of Items only.
+// Returns item i of a struct that consists only of Items.
 template <class Item, class Struct>
 Item item_at(const Struct& all, std::size_t i) {
     static_assert(std::is_standard_layout<Struct>::value && sizeof(Struct) % sizeof(Item) == 0U, "walked as items");

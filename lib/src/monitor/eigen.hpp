@@ -1,5 +1,5 @@
-// eigen.hpp -- Eigen as the core uses it: without packets. A packet's sum has another order than a scalar one, and a model of four
-// states would give other last bits on a host with SSE than on an ECU without.
+// eigen.hpp -- Eigen without packets (vector instructions). A packet adds numbers in another order than scalar code. With packets, a
+// model of four states would have other last bits on a host with SSE than on an ECU without SSE.
 #pragma once
 
 #ifndef EIGEN_DONT_VECTORIZE

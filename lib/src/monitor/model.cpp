@@ -13,9 +13,9 @@ using lpvguard::ConstMap;
 using lpvguard::Matrix;
 
 constexpr int nx = LPVG_NX, nu = LPVG_NU, ny = LPVG_NY;
-constexpr Real no_speed = std::numeric_limits<Real>::lowest();  // a small negative one is a reading that sensors give
+constexpr Real no_speed = std::numeric_limits<Real>::lowest();  // below every reading: sensors can give small negative speeds
 
-// Entries at the speed; the constant ones stay.
+// Sets the entries that vary to their values at the speed. Constant entries stay.
 void set_speed(lpvg_model_t* self, const lpvg_coeff_t* coeff, Real speed) {
     if (speed == self->speed) {
         return;

@@ -1,4 +1,4 @@
-// model_step.hpp -- entries of a model at a speed, and one step of its state, for the nominal model and for those beside it.
+// model_step.hpp -- entries of a model at a speed, and one step of its state, for the nominal and for further models.
 #pragma once
 
 #include "eigen.hpp"
@@ -11,13 +11,13 @@ using Matrix = Eigen::Matrix<lpvg_real_t, Rows, Cols, Cols == 1 ? Eigen::ColMajo
 template <int Rows, int Cols>
 using ConstMap = Eigen::Map<const Matrix<Rows, Cols>>;
 
-// Sets the entries of a model that vary, by the cubics of the speed's cell.
+// Sets the entries of a model that vary with speed, from the cubics of the speed's cell.
 inline void set_varying(const lpvg_coeff_t& coeff, const lpvg_real_t (*cubic)[LPVG_NVARYING][4], lpvg_real_t speed, lpvg_real_t* entry) {
     using Real = lpvg_real_t;
     const lpvg_coeff_reals_t& r = coeff.reals;
     const Real inside = speed < r.speed_min ? r.speed_min : (speed > r.speed_max ? r.speed_max : speed);
     const Real position = (inside - r.speed_min) / (r.speed_max - r.speed_min) * Real(LPVG_NCELLS);
-    // Damaged coefficients may make no number of it; it is never above LPVG_NCELLS.
+    // Damaged coefficients may make the position NaN. It is never above LPVG_NCELLS.
     const Real bounded = position > Real(0) ? position : Real(0);
     auto cell = static_cast<std::size_t>(bounded);
     cell = cell < LPVG_NCELLS ? cell : LPVG_NCELLS - 1U;
@@ -29,10 +29,10 @@ inline void set_varying(const lpvg_coeff_t& coeff, const lpvg_real_t (*cubic)[LP
     }
 }
 
-// Advances x with the input u: entry holds Ad, B_old and B_new; past the delayed inputs, the newest first.
+// Advances x with the input u. `entry` holds Ad, B_old and B_new. `past` holds the delayed inputs, the newest first.
 inline void step_model(const lpvg_real_t* entry, lpvg_real_t* x, lpvg_real_t (*past)[LPVG_NU], const lpvg_real_t* u) {
     constexpr int nx = LPVG_NX, nu = LPVG_NU;
-    // With a delay of d samples u_{k-d} is past[d] with this input as the newest, and u_{k-d-1} is past[d] before.
+    // With a delay of d samples, past[d] is u_{k-d-1} before the shift, and u_{k-d} after it.
     const Matrix<nu, 1> u_old = ConstMap<nu, 1>(past[LPVG_DELAY]);
     for (std::size_t d = LPVG_DELAY; d > 0; --d) {
         Eigen::Map<Matrix<nu, 1>>{past[d]} = ConstMap<nu, 1>(past[d - 1]);

@@ -5,9 +5,9 @@
 // with this half is therefore (rising of the previous half) + (-1)^cycles (plain - rising of this half). The sums restart
 // every half frame, so rounding cannot accumulate over a drive.
 //
-// Each push keeps its sample in a block. Every bin takes up a whole block at a time. Bin b does so in the pushes whose number is
-// b modulo the block's length. Its sums stay in registers over a block, and at most a quarter of the bins can end a
-// half frame in one push.
+// Each push stores its sample in a block. Every bin processes a whole block at once. Bin b does so in each push whose number is
+// b modulo the block length. The sums of the bin then stay in registers during a block. At most a quarter of the bins can end
+// a half frame in one push.
 #include "lpvguard/monitor.h"
 
 #include <cmath>
@@ -35,7 +35,7 @@ Eigen::Map<const Signals> signals(const Real* values) { return Eigen::Map<const 
 
 uint64_t hold_us(const lpvg_coeff_t& coeff) { return static_cast<uint64_t>(coeff.words.frame_length[0]) * coeff.words.sample_period_us; }
 
-// later - earlier >= 0, exact over the whole range of the clock.
+// Returns later - earlier >= 0, exact over the whole range of the clock.
 uint64_t elapsed_us(int64_t later, int64_t earlier) { return static_cast<uint64_t>(later) - static_cast<uint64_t>(earlier); }
 
 bool within(Real value, const Real* range) {
@@ -60,7 +60,7 @@ lpvg_reason_t sample_reason(const lpvg_monitor_t& self, bool in_range) {
     return self.settled > self.coeff->words.settle_samples ? lpvg_reason_none : lpvg_reason_settling;
 }
 
-// Out of range outlives settling: it names the cause.
+// Adds `more` to `span`. The reason out_of_range replaces settling, because it is the cause.
 void extend(lpvg_span_t& span, const lpvg_span_t& more) {
     span.speed_low = more.speed_low < span.speed_low ? more.speed_low : span.speed_low;
     span.speed_high = more.speed_high > span.speed_high ? more.speed_high : span.speed_high;
@@ -70,10 +70,10 @@ void extend(lpvg_span_t& span, const lpvg_span_t& more) {
     }
 }
 
-// Sample i of the block, the oldest first.
+// Returns sample i of the block; sample 0 is the oldest.
 const lpvg_taken_t& taken(const lpvg_monitor_t& self, uint32_t i) { return self.block[(self.newest + 1U + i) & (n_block - 1U)]; }
 
-// e, then yhat of sample i of the block; those of the next samples follow.
+// Returns e, then yhat, of sample i of the block, followed by those of the next samples.
 const Real* taken_signal(const lpvg_monitor_t& self, uint32_t i) { return self.signal[((self.newest + 1U) & (n_block - 1U)) + i]; }
 
 lpvg_span_t span_of(const lpvg_monitor_t& self, uint32_t first, uint32_t end) {
@@ -84,12 +84,12 @@ lpvg_span_t span_of(const lpvg_monitor_t& self, uint32_t first, uint32_t end) {
     return span;
 }
 
-// Adds n samples, x the first one's signals, to the sums of a bin. They are summed among themselves first: a sample is small
-// beside the long sums, which are rounded once a block only. The phasors are turned by small angles, stored as cos - 1
-// and sin, which keeps their relative precision in float.
+// Adds n samples to the sums of a bin; x points to the signals of the first sample. The samples are added to each other first,
+// because they are small compared with the long sums. The long sums are then rounded only once per block. The phasors are
+// rotated by small angles, stored as cos - 1 and sin, which keeps their relative precision in float.
 void accumulate(lpvg_bin_t& bin, const Real* turn, const Real* taper, const Real* x, uint32_t n) {
     const bool begins = bin.n == 0U;
-    if (begins) {  // not by assigning a cleared struct: small C libraries clear it byte by byte
+    if (begins) {  // no assignment of a cleared struct, because small C libraries clear it byte by byte
         signals(bin.sum.plain_re).setZero();
         signals(bin.sum.plain_im).setZero();
         signals(bin.sum.rising_re).setZero();
@@ -129,7 +129,7 @@ void accumulate(lpvg_bin_t& bin, const Real* turn, const Real* taper, const Real
 void end_half(lpvg_monitor_t& self, std::size_t b, int64_t t_us) {
     lpvg_bin_t& bin = self.bin[b];
     const lpvg_coeff_t& coeff = *self.coeff;
-    if (bin.has_before && self.n_queue < LPVG_NBINS) {  // damaged coefficients may close more frames than can be judged
+    if (bin.has_before && self.n_queue < LPVG_NBINS) {  // damaged coefficients could close more frames than can be judged
         const Real scale = coeff.reals.scale[b];
         const Real falling = coeff.words.cycles[b] % 2U != 0U ? -scale : scale;
         for (std::size_t i = 0; i < n_signals; ++i) {
@@ -161,8 +161,8 @@ void take_up(lpvg_monitor_t& self, std::size_t b, uint32_t first, uint32_t end, 
     accumulate(bin, r.turn[b], r.taper[b], taken_signal(self, first), end - first);
 }
 
-// Bin b takes up the samples since it last did, whose span is `whole`. A half frame is longer than a block
-// (lpvg_coeff_check), so it ends at most once in it. Returns whether it ended.
+// Processes the new samples of bin b; `whole` is their span. A half frame is longer than a block (lpvg_coeff_check).
+// Therefore at most one half frame ends in a block. Returns whether a half frame ended.
 bool catch_up(lpvg_monitor_t& self, std::size_t b, const lpvg_span_t& whole) {
     const lpvg_bin_t& bin = self.bin[b];
     const uint32_t left = self.coeff->words.frame_length[b] / 2U - bin.n;
@@ -170,7 +170,7 @@ bool catch_up(lpvg_monitor_t& self, std::size_t b, const lpvg_span_t& whole) {
         take_up(self, b, n_block - self.n_block, n_block, whole);
         return false;
     }
-    take_up(self, b, 0U, left, span_of(self, 0U, left));  // the first half of a start is longer than a block: this one is whole
+    take_up(self, b, 0U, left, span_of(self, 0U, left));  // the first half after a start is longer than a block, so the block is whole
     end_half(self, b, taken(self, left - 1U).t_us);
     if (left < n_block) {
         take_up(self, b, left, n_block, span_of(self, left, n_block));
@@ -178,7 +178,7 @@ bool catch_up(lpvg_monitor_t& self, std::size_t b, const lpvg_span_t& whole) {
     return true;
 }
 
-// k-th largest of the n newest margins; 0 while there are fewer than k, for those to come are 0.
+// Returns the k-th largest of the n newest margins; 0 while there are fewer than k, because missing margins are 0.
 Real statistic(const lpvg_bin_t& bin, uint32_t confirm, uint32_t n) {
     Real kth = Real(0);
     for (uint32_t i = 0; i < n; ++i) {
@@ -193,7 +193,7 @@ Real statistic(const lpvg_bin_t& bin, uint32_t confirm, uint32_t n) {
     return kth;
 }
 
-// Pool of nothing.
+// Empties the pool of a bin.
 void empty_pool(lpvg_bin_t& bin) {
     for (lpvg_pool_t& part : bin.pool) {
         part = lpvg_pool_t{};
@@ -201,7 +201,7 @@ void empty_pool(lpvg_bin_t& bin) {
     bin.part = bin.in_part = 0U;
 }
 
-// The next frame of bin b belongs to the newest part of its pool, which may be a new one.
+// Returns the part of the pool that gets the next frame of bin b; begins a new part if the newest one is full.
 lpvg_pool_t& part_of_next(lpvg_bin_t& bin, const lpvg_coeff_words_t& words, std::size_t b) {
     if (bin.in_part >= words.pool_frames[b]) {
         bin.part = bin.part + 1U < words.pool_parts[b] && bin.part + 1U < LPVG_NPOOL ? bin.part + 1U : 0U;
@@ -213,10 +213,10 @@ lpvg_pool_t& part_of_next(lpvg_bin_t& bin, const lpvg_coeff_words_t& words, std:
 }
 
 struct Pooled {
-    Real ratio, dead;  // (T51); that of a vehicle that does not respond
+    Real ratio, dead;  // ratio (T51), and the ratio of a vehicle without response
 };
 
-// Takes the frame E, Z of bin b into its part of the pool. Largest ratios of the outputs.
+// Adds the frame E, Z of bin b to its part of the pool. Returns the largest ratios of the outputs.
 Pooled pooled(lpvg_bin_t& bin, lpvg_pool_t& part, const lpvg_coeff_reals_t& r, std::size_t b, const Complex* E, const Complex* Z) {
     Pooled found{Real(0), Real(0)};
     for (std::size_t j = 0; j < ny; ++j) {
@@ -244,7 +244,7 @@ Pooled pooled(lpvg_bin_t& bin, lpvg_pool_t& part, const lpvg_coeff_reals_t& r, s
 void record(lpvg_monitor_t& self, const lpvg_frame_t& frame) {
     if (self.n_records < LPVG_NRECORDS) {
         lpvg_frame_t& place = self.record[self.n_records];
-        place.sequence = frame.sequence;  // field by field: small C libraries move a struct byte by byte
+        place.sequence = frame.sequence;  // field by field, because small C libraries move a struct byte by byte
         place.test = frame.test;
         place.bin = frame.bin;
         place.t_end_us = frame.t_end_us;
@@ -264,8 +264,8 @@ void record(lpvg_monitor_t& self, const lpvg_frame_t& frame) {
     }
 }
 
-// Whether a frame of bin b, or the k frames that confirm its statistic, refute the certificate (T53): an output by itself does, or the
-// statistic exceeds every ratio of both sets' bounds.
+// Tells if a frame of bin b, or the k frames that confirm its statistic, refute the certificate (T53). Either a single output does,
+// or the statistic exceeds every ratio of the certificate's bounds to the healthy set's bounds.
 bool refutes(const lpvg_coeff_reals_t& r, std::size_t b, const Complex* E, const Complex* Z, Real statistic) {
     bool alone = false, scaled = true;
     for (std::size_t j = 0; j < ny; ++j) {
@@ -279,7 +279,7 @@ bool refutes(const lpvg_coeff_reals_t& r, std::size_t b, const Complex* E, const
     return alone || scaled;
 }
 
-// Whether all but the last part of the work on a margin was done before; else does the first.
+// Tells if only the last part of the work on a margin remains. Otherwise does the first part.
 template <class Margin>
 bool begun(lpvg_monitor_t& self, Margin& margin) {
     if constexpr (LPVG_NPARTS > 1) {
@@ -292,7 +292,7 @@ bool begun(lpvg_monitor_t& self, Margin& margin) {
     return true;
 }
 
-// The margin, given what the first part found where there are two.
+// Returns the margin. With two parts, it uses the result of the first part.
 template <class Margin>
 Real finished(const lpvg_monitor_t& self, Margin& margin) {
     if constexpr (LPVG_NPARTS > 1) {
@@ -302,7 +302,7 @@ Real finished(const lpvg_monitor_t& self, Margin& margin) {
     }
 }
 
-// The next part of the judgement of bin b's frame; whether it was the last.
+// Does the next part of the judgement of bin b's frame. Returns whether this was the last part.
 bool judge(lpvg_monitor_t& self, std::size_t b) {
     const lpvg_coeff_t& coeff = *self.coeff;
     const lpvg_coeff_reals_t& r = coeff.reals;
@@ -323,7 +323,7 @@ bool judge(lpvg_monitor_t& self, std::size_t b) {
     lpvg_frame_t& frame = self.frame;
     const uint32_t sequence = frame.sequence + 1U;
     if (reason != lpvg_reason_none) {
-        frame = lpvg_frame_t{};  // else every field is written below
+        frame = lpvg_frame_t{};  // otherwise the code below writes every field
     }
     frame.sequence = sequence;
     frame.bin = static_cast<uint32_t>(b);
@@ -359,7 +359,7 @@ bool judge(lpvg_monitor_t& self, std::size_t b) {
         if (frame.falsified) {
             int64_t& newest = frame.refuted ? self.t_falsified_us : self.t_changed_us;
             bool& any = frame.refuted ? self.has_falsified : self.has_changed;
-            newest = any && newest > frame.t_end_us ? newest : frame.t_end_us;  // the energy test may have alarmed since the frame ended
+            newest = any && newest > frame.t_end_us ? newest : frame.t_end_us;  // the energy test may have alarmed after the frame's end
             any = true;
             record(self, frame);
         }
@@ -367,7 +367,7 @@ bool judge(lpvg_monitor_t& self, std::size_t b) {
     return true;
 }
 
-// Goes on judging the frame that has waited longest.
+// Continues to judge the frame that has waited longest.
 void judge_next(lpvg_monitor_t& self) {
     const uint32_t b = self.queue[self.queue_first];
     if (judge(self, b < LPVG_NBINS ? b : 0U)) {
@@ -376,7 +376,7 @@ void judge_next(lpvg_monitor_t& self) {
     }
 }
 
-// ||x_j|| of the energy test's sums.
+// Returns the norm ||x_j|| from the sums of the energy test.
 Real output_norm(const Real* gram, std::size_t j) {
     const std::size_t diagonal = j * (2U * ny + 1U - j) / 2U;
     return std::sqrt(gram[diagonal]);
@@ -453,7 +453,7 @@ void judge_change(lpvg_monitor_t& self, const lpvg_sample_t& sample) {
     }
 }
 
-// The newest sample ends a block of its own.
+// Gives a whole block to the change test, or restarts the test after a gap. The newest sample ends the block.
 void take_block(lpvg_monitor_t& self, lpvg_reason_t reason) {
     if (self.n_block == n_block && reason == lpvg_reason_none) {
         lpvg_change_take(&self.change, taken_signal(self, 0U));
@@ -462,7 +462,7 @@ void take_block(lpvg_monitor_t& self, lpvg_reason_t reason) {
     }
 }
 
-// Every bin begins a new frame, and nothing from before speaks for the model.
+// Voids the evidence: every bin begins a new frame, and earlier frames no longer support the model.
 void void_evidence(lpvg_monitor_t& self, int64_t t_us) {
     for (lpvg_bin_t& bin : self.bin) {
         bin.n = 0U;
@@ -484,8 +484,8 @@ void start(lpvg_monitor_t& self, const lpvg_sample_t& sample) {
     ++self.restarts;
 }
 
-// Of the energy test's filters and right sums. A flip in them could blind it for many times its memory: a large bound decays slowly. One in
-// a left sum falsifies, or is forgotten with the memory.
+// Check sum of the energy test's filters and right sums. A flipped bit there could blind the test for many memory times, because a
+// large bound decays slowly. A flipped bit in a left sum raises an alarm, or it is forgotten within the memory.
 uint32_t sum_of(const lpvg_energy_t& energy) {
     uint32_t sum = lpvguard::sum_of_words(energy.F) + lpvguard::sum_of_words(energy.W) + lpvguard::sum_of_words(energy.fading);
     for (const lpvg_energy_band_t& band : energy.band) {
@@ -494,7 +494,7 @@ uint32_t sum_of(const lpvg_energy_t& energy) {
     return sum;
 }
 
-// Whether what indexes the state is within it, one bin in turn, and energy test and model entries as the newest sample left them.
+// Tells if all indices are in range (of one bin per call), and if energy test and model entries are unchanged since the newest sample.
 bool state_well(lpvg_monitor_t& self) {
     self.turn = self.turn + 1U < LPVG_NBINS ? self.turn + 1U : 0U;
     const lpvg_bin_t& bin = self.bin[self.turn];
@@ -507,7 +507,7 @@ bool state_well(lpvg_monitor_t& self) {
            lpvguard::sum_of_words(self.model.entry) == self.model.sum;
 }
 
-// After damage: as init left it, and the sample counts as refused.
+// Repairs a damaged state: restarts as after init, and refuses the sample.
 void repair(lpvg_monitor_t& self, int64_t t_us) {
     const lpvg_coeff_t* const coeff = self.coeff;
     const uint32_t repairs = self.repairs + (self.repairs < UINT32_MAX ? 1U : 0U);
@@ -520,7 +520,7 @@ void repair(lpvg_monitor_t& self, int64_t t_us) {
 bool in_step(const lpvg_monitor_t& self, int64_t t_us) {
     const uint64_t period = self.coeff->words.sample_period_us;
     const uint64_t step = elapsed_us(t_us, self.t_us);
-    return step <= 2U * period && 2U * step >= period && 2U * step <= 3U * period;  // the first keeps 2 step from wrapping
+    return step <= 2U * period && 2U * step >= period && 2U * step <= 3U * period;  // the first condition prevents an overflow of 2 step
 }
 
 }  // namespace
@@ -543,7 +543,7 @@ extern "C" void lpvg_monitor_begin(lpvg_monitor_t* self, const lpvg_coeff_t* coe
     self->change_quiet = coeff->words.change_rearm;
 }
 
-// Length: the path of one sample in its order; every branch of it ends or restarts the steps that follow.
+// This function is long because it follows one sample through all steps. Each branch ends or restarts the following steps.
 extern "C" lpvg_status_t lpvg_monitor_push(lpvg_monitor_t* self, const lpvg_sample_t* sample) {
     if (self == nullptr || sample == nullptr) {
         return lpvg_status_bad_argument;

@@ -1,8 +1,8 @@
-/// @file parameters.hpp -- the numbers of the simulated truck, read from one TOML file and checked.
+/// @file parameters.hpp -- the parameters of the simulated truck, read from one TOML file and checked.
 ///
-/// Every entry of truck.toml is `key = { value = ..., source = "..." }`; the unit is the key's suffix. A missing, unknown,
-/// sourceless or out-of-range entry throws ParameterError naming the file, the key and the expected range. SI units, except
-/// brake pressure [bar]. Axle quantities ("front", "rear") are for the whole axle, i.e. both wheels.
+/// Every entry of truck.toml is `key = { value = ..., source = "..." }`. The suffix of the key is the unit. For a missing or unknown
+/// entry, an entry without source, or a value out of range, ParameterError names the file, the key and the expected range. Units are
+/// SI, except brake pressure [bar]. Axle quantities ("front", "rear") are for the whole axle, i.e. both wheels.
 #pragma once
 
 #include <optional>
@@ -11,7 +11,7 @@
 
 namespace lpvguard_plant {
 
-/// Thrown for anything wrong in a parameter or scenario file; what() names file, key and expected range.
+/// Error in a parameter or scenario file; what() names file, key and expected range.
 class ParameterError : public std::runtime_error {
 public:
     using std::runtime_error::runtime_error;
@@ -19,9 +19,9 @@ public:
 
 /// Noise and number grid of one measured signal: output = offset + lsb * round((signal + noise - offset) / lsb).
 struct SensorParameters {
-    double noise_rms = 0.0;  ///< White, at the 10 ms sampling instants, in the signal's unit.
+    double noise_rms = 0.0;  ///< Rms of the white noise at the 10 ms sampling instants, in the signal's unit.
     double lsb = 0.0;        ///< Step of the number grid, in the signal's unit.
-    double offset = 0.0;     ///< Value of raw 0: the grid need not contain zero (J1939 yaw rate does not).
+    double offset = 0.0;     ///< Value of raw 0. The grid need not contain zero (e.g. J1939 yaw rate).
 };
 
 struct PlantParameters {
@@ -37,9 +37,9 @@ struct PlantParameters {
     double unsprung_cg_height_m = 0.0;
     double roll_stiffness_front_nmprad = 0.0;
     double roll_stiffness_rear_nmprad = 0.0;
-    double roll_damping_nmsprad = 0.0;     ///< Both axles; shared between them as the stiffness is.
-    double rolling_resistance_ratio = 0.0; ///< Of the weight. Used when the speed is free only.
-    double drag_area_m2 = 0.0;             ///< c_d A. Used when the speed is free only.
+    double roll_damping_nmsprad = 0.0;     ///< Sum of both axles, divided between them like the stiffness.
+    double rolling_resistance_ratio = 0.0; ///< Share of the weight; only used with a free speed.
+    double drag_area_m2 = 0.0;             ///< c_d A; only used with a free speed.
 
     // Tyres.
     double cornering_stiffness_front_nprad = 0.0;
@@ -50,7 +50,7 @@ struct PlantParameters {
     double friction_left_ratio = 0.0;
     double friction_right_ratio = 0.0;
 
-    // Steering, both front wheels lumped, about the kingpins.
+    // Steering of both front wheels together, about the kingpins.
     double steering_inertia_kgm2 = 0.0;
     double steering_damping_nmsprad = 0.0;
     double kingpin_friction_nm = 0.0;
@@ -87,35 +87,35 @@ struct PlantParameters {
     SensorParameters brake_pressure_sensor;
 };
 
-/// A departure of one truck from truck.toml, as scenarios state it; the default is "no departure".
+/// Differences of one truck from truck.toml, as stated by scenarios. The default is no difference.
 struct Variation {
     double load_ratio = 1.0;                 ///< Total mass over nominal; payload changes the sprung mass and both inertias.
     double cg_shift_m = 0.0;                 ///< Rearwards positive.
     double cg_height_ratio = 1.0;
-    double friction_left_ratio = 1.0;        ///< The ratios multiply what truck.toml says.
+    double friction_left_ratio = 1.0;        ///< All ratios multiply the values of truck.toml.
     double friction_right_ratio = 1.0;
     double cornering_stiffness_front_ratio = 1.0;
     double cornering_stiffness_rear_ratio = 1.0;
     double brake_gain_ratio = 1.0;
     double brake_lag_ratio = 1.0;
     double extra_brake_delay_s = 0.0;
-    std::optional<double> bank_rms_rad;      ///< Empty: as in truck.toml.
+    std::optional<double> bank_rms_rad;      ///< Empty: the value of truck.toml.
     double crosswind_mean_mps = 0.0;         ///< Added.
     std::optional<double> crosswind_gust_rms_mps;
-    double sensor_noise_ratio = 1.0;         ///< On every sensor.
-    double sensor_lsb_ratio = 1.0;           ///< On every sensor: coarser quantisation.
+    double sensor_noise_ratio = 1.0;         ///< Factor for every sensor.
+    double sensor_lsb_ratio = 1.0;           ///< Factor of the quantisation step of every sensor.
 };
 
 /// Reads and checks a parameter file. Throws ParameterError.
 PlantParameters load_parameters(const std::string& path);
 
-/// Same, from text; `name` stands for the file in error messages.
+/// Same, from text. Error messages use `name` as the file name.
 PlantParameters parse_parameters(const std::string& toml_text, const std::string& name);
 
-/// Applies a variation. Throws ParameterError when the result leaves the range of a parameter.
+/// Applies a variation. Throws ParameterError if a parameter is then out of range.
 PlantParameters varied(const PlantParameters& nominal, const Variation& variation);
 
-/// Throws ParameterError naming the first parameter outside its range, or a broken relation between two of them.
+/// Throws ParameterError that names the first parameter out of range, or a violated relation between two parameters.
 void check(const PlantParameters& parameters, const std::string& name);
 
 }  // namespace lpvguard_plant

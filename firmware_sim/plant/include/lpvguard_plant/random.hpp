@@ -13,7 +13,7 @@ namespace lpvguard_plant {
 
 class Random {
 public:
-    /// Different streams of one seed are independent: a change in how one is used leaves the others alone.
+    /// Different streams of one seed are independent. A change in the use of one stream does not affect the others.
     Random(std::uint64_t seed, std::uint64_t stream);
 
     std::uint64_t bits();

@@ -1,6 +1,6 @@
 /// @file scenario.hpp -- the plant's part of a scenario file.
 ///
-/// Everything the plant reads stands in the table `plant`; the rest of the file belongs to others and is not looked at.
+/// The plant only reads the table `plant` and ignores the rest of the file.
 ///
 ///     [plant]
 ///     speed_profile = [[0.0, 12.0], [30.0, 17.0]]      # [time s, speed m/s]
@@ -11,7 +11,7 @@
 ///     signal = "yaw_rate"
 ///     start_s = 30.0
 ///     end_s = 60.0                                     # optional: until the end
-///     ramp_s = 20.0                                    # optional: it grows for so long; of every kind of fault here
+///     ramp_s = 20.0                                    # optional, for every kind of fault: time of growth
 ///     gain = -1.0
 ///     [[plant.actuator_fault]]
 ///     extra_delay_s = 0.4
@@ -41,7 +41,7 @@ struct Scenario {
 
 Scenario load_scenario(const std::string& path);
 
-/// Same, from text; `name` stands for the file in error messages.
+/// Same, from text. Error messages use `name` as the file name.
 Scenario parse_scenario(const std::string& toml_text, const std::string& name);
 
 }  // namespace lpvguard_plant

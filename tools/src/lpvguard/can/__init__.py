@@ -1,6 +1,7 @@
-"""The table of CAN messages, `catalogue.toml`, and everything made from it.
+"""The table of CAN messages, `catalogue.toml`, and everything that is generated from it.
 
-In: the catalogue, raw CAN logs. Out: our DBC, the C codec, decoded frames, and frames played onto a bus.
+The input is the catalogue and raw CAN logs. The output is our DBC, the C codec, decoded frames, and frames
+that are sent on a bus.
 """
 
 MAY_IMPORT = ("base", "vehicle")

@@ -1,7 +1,7 @@
-"""Dialects of Vector's ASC, rewritten into the one that python-can reads.
+"""Rewrite dialects of Vector's ASC into the dialect that python-can reads.
 
-With ``timestamps relative`` in the head, each line's time counts from the line before; python-can takes it as
-absolute. ``CANFD   Start of measurement`` is an event, which python-can takes as a frame.
+With ``timestamps relative`` in the header, each line's time is relative to the previous line, but python-can
+reads it as absolute. ``CANFD   Start of measurement`` is an event, but python-can reads it as a frame.
 """
 
 import re
@@ -14,8 +14,7 @@ _START = re.compile(r"^\s*\S+\s+(?:CANFD\s+)?Start of measurement", re.IGNORECAS
 
 
 class AscLines:
-    """Lines of an ASC log, open at its first line, with absolute times and without the start of the
-    measurement."""
+    """Lines of an ASC log with absolute times and without the start event."""
 
     def __init__(self, file: TextIO):
         self._file = file

@@ -1,4 +1,4 @@
-"""Generates lpvguard_bus.c (lib/include/lpvguard/bus.h): the signal table on the CAN catalogue."""
+"""Generate lpvguard_bus.c (lib/include/lpvguard/bus.h): where the CAN catalogue has the vehicle's signals."""
 
 import numpy as np
 
@@ -10,7 +10,7 @@ from .logs import EXTENDED, Frames
 
 REFERENCE = CanPlace(message="GUARD_IN", signal="yaw_rate_command")
 AUTHENTICATOR = "GUARD_IN_AUTH"
-"""Message that authenticates the frame of REFERENCE's message before it."""
+"""Message that authenticates the preceding frame of REFERENCE's message."""
 REPORT = {
     "dp_demand": "demand",
     "monitor_margin": "statistic",
@@ -19,9 +19,9 @@ REPORT = {
     "engagement": "engagement",
     "command_authentication": "authenticated",
 }
-"""Signals of the report message and their members of lpvg_bus_report_t."""
+"""Member of lpvg_bus_report_t for each signal of the report message."""
 AUTHENTICATION = CanPlace(message="GUARD_OUT", signal="command_authentication")
-"""Signal that says whether the ECU obeys authenticated commands only."""
+"""Signal that tells whether the ECU only obeys authenticated commands."""
 CHECKS = {
     "yaw_rate": ("VDC2", "{yaw_rate}"),
     "lateral": ("VDC2", "{lateral_acceleration}"),
@@ -32,15 +32,16 @@ CHECKS = {
     "request": ("GUARD_IN", "{control_request}"),
     "other_priority": ("GUARD_IN", "{other_priority}"),
 }
-"""Cross-checks and permission: member of lpvg_bus_signals_t, message, expression of its decoded signals."""
+"""Message and C expression for each member of lpvg_bus_signals_t that serves cross-checks or permission."""
 OVERRIDE = CanPlace(message="EBC1", signal="abs_active")
 """Message that reports the driver's braking and ABS."""
 PROPRIETARY_SPN = 520192
-"""First number that J1939-73 leaves to manufacturers, for signals without a number of their own."""
+"""First parameter number that J1939-73 reserves for manufacturers, used for signals without their own
+number."""
 
 
 def command_authentication(frames: Frames, catalogue: Catalogue | None = None) -> str | None:
-    """Return the name of AUTHENTICATION's value in the newest frame that has it.
+    """Return the name of AUTHENTICATION's value in the newest frame that contains the signal.
 
     Parameters
     ----------
@@ -63,7 +64,7 @@ def command_authentication(frames: Frames, catalogue: Catalogue | None = None) -
 
 
 def sends_demand(project: Project) -> bool:
-    """Return whether a vehicle's demand has a place in a message of ours on the CAN catalogue.
+    """Tell if the CAN catalogue has a message of ours for the vehicle's demand.
 
     Parameters
     ----------
@@ -71,7 +72,7 @@ def sends_demand(project: Project) -> bool:
 
     Returns
     -------
-    bool, False where the input is measured, has no place, or lies on the car's own bus
+    bool, False if the input is measured, has no place, or lies on the car's own bus
     """
     place = project.inputs[0].can
     if project.can is not None or place is None:
@@ -122,7 +123,7 @@ def bus_source(project: Project) -> str:
 
 
 def _report_message(project: Project, catalogue: Catalogue, where: str) -> Message:
-    """Message that carries the vehicle's input. Raises InputError unless we send it as the only demand."""
+    """Message with the vehicle's input; raise InputError unless it is our message with a single demand."""
     demand = _place(project.inputs[0].name, project.inputs[0].can, where)
     report = catalogue.message(demand.message)
     if (
@@ -150,7 +151,7 @@ def _places(project: Project, where: str) -> list[tuple[str, CanPlace]]:
 
 
 def _source(project: Project, catalogue: Catalogue, needed: dict[str, int], cases: str, report: str) -> str:
-    """The C file; ``needed`` maps a message to the number that a report of its loss carries."""
+    """Make the C file; ``needed`` maps a message to the number that reports its loss."""
     command, authenticator = catalogue.message(REFERENCE.message), catalogue.message(AUTHENTICATOR)
     needs = ", ".join(
         f"[{i}] = {{LPVG_CAN_{name}_INDEX, {spn}u}}" for i, (name, spn) in enumerate(needed.items())
@@ -226,7 +227,7 @@ def take_case(message: Message, signals: list[BusSignal], statements: list[str])
         *(f"        float {name};" for name in names),
         f"        if ({prefix}_unpack(&message, frame) == lpvg_status_ok) {{",
     ]
-    # decode writes NaN where there is no value, and the reader of the number refuses it.
+    # decode writes NaN if there is no value. The code that reads the number refuses NaN.
     lines += [
         f"            (void)lpvg_can_decode(&{prefix}_{name}, message.{name}, &{name});" for name in names
     ]

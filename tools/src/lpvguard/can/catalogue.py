@@ -1,10 +1,11 @@
-"""The CAN catalogue: loads and validates the one table of messages (can/catalogue.toml).
+"""Load and validate the CAN catalogue, the one table of messages (can/catalogue.toml).
 
-Reads   catalogue.toml (shipped), or another file of the same form
-Next    dbc.py writes our DBC from it, codegen.py the C codec and the receiver's rules
+Another file of the same form can replace catalogue.toml. From the catalogue, dbc.py writes our DBC, and
+codegen.py writes the C codec and the receiver's rules.
 
-Raw values follow SAE J1939-71. The two top codes say "not available" and "error". They are 0xFF and 0xFE for
-8 bits, 0xFFnn and 0xFEnn for 16 bits, 3 and 2 for 2 bits. Data end at 0xFA (8 bits) or 0xFAFF (16 bits).
+Raw values follow SAE J1939-71. The two largest codes mean "not available" and "error". They are 0xFF and 0xFE
+for 8 bits, 0xFFnn and 0xFEnn for 16 bits, 3 and 2 for 2 bits. The largest data value is 0xFA (8 bits) or
+0xFAFF (16 bits).
 """
 
 from __future__ import annotations
@@ -21,26 +22,26 @@ from ..base.documents import StrictModel, checked, read_toml
 from ..base.errors import InputError
 
 E2E_BITS = 12
-"""Bits of profile 11 at the start of a frame: CRC (8), counter (4), and 4 free ones that are sent as 1."""
+"""Number of bits of profile 11 at the start of a frame: CRC (8), counter (4), and 4 unused bits, sent as
+1."""
 
 OWN_NODE = "LPVGUARD"
 """Name of the node that runs the generated code."""
 
 J1939_LENGTHS = (2, 4, 8, 16)
-"""Lengths of our signals with codes above the data."""
+"""Signal lengths [bits] for which J1939 defines codes above the data."""
 
 
 def j1939_data_max(length: int) -> int:
     """Largest raw value of ``length`` bits (2 or more) that is data.
 
-    It is 0xFA in the top byte; below 8 bits it is all values but two.
+    Its top byte is 0xFA. With fewer than 8 bits, only the two largest values are not data.
     """
     return (0xFB << (length - 8)) - 1 if length >= 8 else (1 << length) - 3
 
 
 class Supervision(StrictModel):
-    """Values of a signal that a receiver accepts, in its unit; ``max_rate`` is per second (None:
-    unlimited)."""
+    """Values that a receiver accepts, in the signal's unit; max_rate is per second (None: no limit)."""
 
     min: float
     max: float
@@ -63,7 +64,7 @@ class BusSignal(StrictModel):
     start, length : int, bits
     scale, offset : float, units of the signal
     positive : str, direction of positive values
-    coding : str, "j1939" reserves the top raw values, "plain" none
+    coding : str, "j1939" reserves the largest raw values, "plain" reserves none
     values : dict[str, int], raw value by name
     supervise : Supervision or None
     """
@@ -99,7 +100,7 @@ class BusSignal(StrictModel):
 
     @property
     def bits(self) -> range:
-        """Bits of the signal in the frame's data."""
+        """Positions of the signal's bits in the frame's data."""
         return range(self.start, self.start + self.length)
 
     @property
@@ -109,7 +110,7 @@ class BusSignal(StrictModel):
 
     @property
     def raw_error_min(self) -> int | None:
-        """First raw value for "error", which ends below ``raw_absent_min``; None: no such code."""
+        """First raw value for "error" (None without this code). The last one is ``raw_absent_min`` - 1."""
         return self._code(0xFE, 2)
 
     @property
@@ -123,7 +124,7 @@ class BusSignal(StrictModel):
         return top_byte << (self.length - 8) if self.length >= 8 else (1 << self.length) - below_end
 
     def physical(self, raw: float) -> float:
-        """Physical value of a raw one."""
+        """Compute the physical value of a raw value."""
         return raw * self.scale + self.offset
 
     @property
@@ -145,7 +146,7 @@ class E2E(StrictModel):
 
 
 class Message(StrictModel):
-    """A parameter group in one 8-byte frame.
+    """Message: a parameter group in one 8-byte frame.
 
     Attributes
     ----------
@@ -153,7 +154,7 @@ class Message(StrictModel):
     pgn : int, parameter group number
     id : int, 29-bit identifier
     period_ms : int, ms
-    codec : str, "core" if the C core packs it, so that no codec is generated
+    codec : str, "core" if the C core packs the message, so that no codec is generated
     e2e : E2E or None, end-to-end protection
     signals : list of BusSignal
     """
@@ -195,7 +196,7 @@ class Message(StrictModel):
 
     @property
     def rules(self) -> list[tuple[BusSignal, Supervision]]:
-        """Supervised signals, each with its accepted values."""
+        """Supervised signals, each with the values that a receiver accepts."""
         return [(s, s.supervise) for s in self.signals if s.supervise]
 
     @property
@@ -256,7 +257,7 @@ class Catalogue(StrictModel):
         return next(n for n in self.nodes if n.address == message.source_address)
 
     def message(self, name: str) -> Message:
-        """The message ``name``; InputError when there is none."""
+        """Return the message ``name``; raise InputError if there is none."""
         for message in self.messages:
             if message.name == name:
                 return message
@@ -266,7 +267,7 @@ class Catalogue(StrictModel):
 
 
 def load_catalogue(path: Path | None = None) -> Catalogue:
-    """Load a catalogue; a process reads the shipped one once.
+    """Load a catalogue; a process reads the shipped catalogue only once.
 
     Parameters
     ----------
@@ -279,7 +280,7 @@ def load_catalogue(path: Path | None = None) -> Catalogue:
     Raises
     ------
     InputError
-        If a field is refused; it names the file, the field and what was expected.
+        If a field is refused. The error names the file, the field and the expected value.
     """
     return _shipped() if path is None else _read(path, path)
 

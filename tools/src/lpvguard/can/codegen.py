@@ -1,10 +1,11 @@
-"""Generates the C codec (C99) and the receiver's rules from the catalogue.
+"""Generate the C codec (C99) and the receiver's rules from the catalogue.
 
-Two files: ``lpvg_can_codec.h`` and ``lpvg_can_codec.c``. Per message they have a struct of raw values,
-``pack`` and ``unpack``, and per signal a scale. ``lpvg_can_encode`` and ``lpvg_can_decode`` take a scale.
-Bytes are read and written one by
-one, independent of the processor's byte order. Every shift is of an unsigned value by less than its width.
-The text depends on the catalogue alone.
+The files are ``lpvg_can_codec.h`` and ``lpvg_can_codec.c``. Each message has a struct of raw values, ``pack``
+and ``unpack``. Each signal has a scale. ``lpvg_can_encode`` converts physical to raw values with a scale: it
+rounds to the nearest value and saturates, and NaN becomes "not available". ``lpvg_can_decode`` converts raw
+to physical values and returns a quality. Bytes are read and written one by one, so the processor's byte order
+has no effect. Every shift is of an unsigned value by less than its width. The text depends only on the
+catalogue.
 """
 
 import hashlib
@@ -14,11 +15,11 @@ from .catalogue import BusSignal, Catalogue, Message, load_catalogue
 
 HEADER, SOURCE = "lpvg_can_codec.h", "lpvg_can_codec.c"
 GAP_FRACTION = 4
-"""A frame earlier than period / 4 after the last counts as babbling; cyclic senders jitter far less."""
+"""A frame within period / 4 of the previous one counts as babbling. Cyclic senders jitter far less."""
 
 _EXTENDED = 0x80000000
 ANY_PRIORITY = 0xE3FFFFFF
-"""Mask of an identifier with its flags without the priority of a J1939 message."""
+"""Mask that removes the J1939 priority from an identifier and keeps its flags."""
 
 
 def codec_files(catalogue: Catalogue | None = None) -> dict[str, str]:
@@ -43,7 +44,7 @@ def codec_files(catalogue: Catalogue | None = None) -> dict[str, str]:
 
 
 def messages_in_order(catalogue: Catalogue) -> list[Message]:
-    """List the messages with a generated codec in the order of lpvg_can_rules: received ones first.
+    """List the messages with a generated codec in the order of lpvg_can_rules: first the received messages.
 
     Parameters
     ----------
@@ -298,7 +299,7 @@ def _code(minimum: int | None) -> int:
 
 
 def _pieces(signal: BusSignal) -> list[tuple[int, int, int, int]]:
-    """(byte, lowest bit in the byte, bits, lowest bit of the signal) of each byte of a signal."""
+    """(byte, lowest bit in the byte, number of bits, lowest bit of the signal) for each byte of a signal."""
     pieces, done = [], 0
     while done < signal.length:
         byte, low = divmod(signal.start + done, 8)
@@ -323,7 +324,7 @@ def _load(signal: BusSignal) -> str:
 
 
 def _stored(message: Message, byte: int) -> str:
-    """A byte of a frame: bits of its signals, 0 for an E2E header, else 1."""
+    """C expression of a byte of a frame: bits of signals, 0 for the E2E header, 1 for unused bits."""
     terms, ones = [], 0xFF
     if message.e2e:
         ones &= (0x00, 0xF0, *[0xFF] * 6)[byte]

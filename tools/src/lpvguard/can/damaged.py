@@ -1,4 +1,4 @@
-"""Refuse damaged logs on which python-can or asammdf would never end or would read foreign memory."""
+"""Refuse damaged logs with which python-can or asammdf would never end or would read foreign memory."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ if TYPE_CHECKING:
     import can
 
 _VIRTUAL = {3, 6}
-"""Channel types of MDF 4 without bytes in the record."""
+"""Channel types of MDF 4 that have no bytes in the record."""
 _HAS_INVALIDATION = 2
 """Flag of a channel of MDF 4 with an invalidation bit."""
 
 
 def _require_advance(objects: bytes) -> None:
-    """Raise ValueError for an empty object of a BLF container, at which a reader would loop for ever."""
+    """Raise ValueError for an empty object of a BLF container, because the reader would loop for ever."""
     at = objects.find(b"LOBJ", 0, 8)
     while at >= 0:
         size = int.from_bytes(objects[at + 8 : at + 12], "little")
@@ -33,8 +33,8 @@ def _require_advance(objects: bytes) -> None:
 def python_can_reader(path: Path) -> can.io.generic.MessageReader:
     """Return python-can's reader of a log.
 
-    The reader of BLF raises ValueError (`_require_advance`) where it would never end. That of ASC reads
-    further dialects (``AscLines``).
+    The BLF reader raises ValueError where it would never end (`_require_advance`). The ASC reader reads
+    further dialects (`AscLines`).
     """
     import can  # costs 0.2 s, and is not needed for candump
 
@@ -55,8 +55,8 @@ def python_can_reader(path: Path) -> can.io.generic.MessageReader:
 class _Mdf:
     """Blocks of an MDF file.
 
-    MDF 4 has addresses of 8 bytes: the next block's at byte 24, then those of the blocks below. MDF 3 has
-    addresses of 4 bytes from byte 4.
+    In MDF 4, addresses have 8 bytes and begin at byte 24 of a block. In MDF 3, they have 4 bytes and begin at
+    byte 4. The first address is that of the next block; the addresses of child blocks follow.
     """
 
     def __init__(self, content: mmap.mmap):
@@ -68,18 +68,18 @@ class _Mdf:
         return int.from_bytes(self.content[at : at + size], "little")
 
     def link(self, at: int, index: int) -> int:
-        """Address ``index`` of a block; 0 is the next block's."""
+        """Read address ``index`` of a block; index 0 is the address of the next block."""
         return self.number(at + self.following + index * self.width, self.width)
 
     def fields(self, at: int) -> int:
-        """Start of the fields of an MDF 4 block, after its links."""
+        """Start of the fields of an MDF 4 block, after its addresses."""
         return at + 24 + 8 * self.number(at + 16, 8)
 
     def kind(self, at: int) -> bytes:
         return self.content[at : at + 4]
 
     def blocks(self, at: int) -> Iterator[int]:
-        """The list that begins at an address; ValueError for a circle."""
+        """Yield the blocks of the list that begins at an address; raise ValueError for a circular list."""
         seen = set()
         while at:
             if at in seen:
@@ -92,8 +92,7 @@ class _Mdf:
         return self.blocks(self.number(self.first, self.width))
 
     def require_inside(self, channels: int, record: int, invalidation: int) -> None:
-        """Raise ValueError unless the channels of a list lie in a record of given bytes and invalidation
-        bytes."""
+        """Raise ValueError unless all channels of a list lie within a record and its invalidation bytes."""
         for channel in self.blocks(channels):
             if self.is_4:
                 start, bits = self._place(channel, invalidation)
@@ -111,7 +110,7 @@ class _Mdf:
                 raise ValueError("a channel beyond its record")
 
     def _place(self, channel: int, invalidation: int) -> tuple[int, int]:
-        """First bit and number of bits of an MDF 4 channel in its record."""
+        """First bit and number of bits of an MDF 4 channel within its record."""
         own = self.fields(channel)
         has_bit = self.number(own + 12, 4) & _HAS_INVALIDATION
         if has_bit and self.number(own + 16, 4) >= 8 * invalidation:
@@ -122,10 +121,10 @@ class _Mdf:
 
 
 def require_sound_blocks(path: Path) -> None:
-    """Raise ValueError for a circle in the lists of an MDF file, or a channel beyond its record.
+    """Raise ValueError for an MDF file with a circular list, or with a channel beyond its record.
 
-    asammdf follows the lists by the next block's address and would never end. It reads a channel's bytes by
-    their place in the record, even from foreign memory.
+    asammdf would follow a circular list for ever. It would read the bytes of a channel beyond its record from
+    foreign memory.
     """
     with path.open("rb") as file:
         if file.read(3) != b"MDF":

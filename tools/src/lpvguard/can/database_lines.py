@@ -1,4 +1,4 @@
-"""Reads a DBC with wrong lines: each costs its signal or message, not the file."""
+"""Read a DBC with wrong lines: a wrong line loses only its signal or message, not the whole file."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _HEAD = 'VERSION ""\n\nNS_ :\n\nBS_:\n\nBU_:\n\n'
 _KEPT = re.compile(r"\s*(BO_|SG_|VAL_|SIG_VALTYPE_|SG_MUL_VAL_|BA_DEF_|BA_DEF_DEF_|BA_)\s")
 """Statements that decide how a frame is decoded."""
 _ABOUT = re.compile(r'\s*(?:(?:VAL_|SIG_VALTYPE_|SG_MUL_VAL_)|BA_\s+"[^"]*"\s+(?:BO_|SG_))\s+(\d+)\s')
-"""Statements about one message: the place of its identifier."""
+"""Word of a statement that holds the identifier of the message, by the statement's keyword."""
 
 _HEAD_LIKE = re.compile(r"\s*(?!SG_|SIG_|VAL_)\w*\s*\d+\s+\w+\s*:\s*\d+\s")
 """A head of a message whose first word is wrong."""
@@ -24,7 +24,7 @@ _Line = tuple[int, str]
 
 @dataclass
 class _Message:
-    """A message's statements: its head, its signals, and what is said of them elsewhere."""
+    """Statements of a message: its head, its signals, and further statements about them."""
 
     identifier: str
     head: _Line
@@ -32,7 +32,7 @@ class _Message:
     about: list[_Line] = field(default_factory=list)
 
     def parts(self) -> tuple[str, str]:
-        """Text of the message, and of what is said of it."""
+        """Text of the message, and text of the further statements about it."""
         return _joined([self.head, *self.signals]), _joined(self.about)
 
 
@@ -46,7 +46,8 @@ def read_sound_lines(text: str) -> tuple[Database, list[str]]:
     Returns
     -------
     tuple of Database and list of str
-        Sound statements, and a sentence for each other or corrected one: line number and text.
+        Database of the readable statements. The list holds a sentence, with line number and text, for each
+        statement that was left out or corrected.
     """
     messages: list[_Message] = []
     definitions: list[_Line] = []
@@ -75,7 +76,7 @@ def read_sound_lines(text: str) -> tuple[Database, list[str]]:
     definitions = _sound_lines(_HEAD, definitions, left_out)
     sound = _sound_messages(messages, _joined(definitions), left_out)
     database = _parsed(_text(sound, _joined(definitions)))
-    if database is None:  # statements that are sound one by one, and not together
+    if database is None:  # each statement is readable by itself, but not all together
         database = _database(_HEAD)
         left_out += [line for m in sound for line in (m.head, *m.signals, *m.about)]
     sentences = [
@@ -92,13 +93,13 @@ def read_sound_lines(text: str) -> tuple[Database, list[str]]:
 
 
 def _flagged(identifier: str) -> str:
-    """The identifier of a message, with the flag that says so where it has more than 11 bits."""
+    """Add the flag of a 29-bit identifier if the identifier has more than 11 bits."""
     number = int(identifier)
     return str(number | 1 << 31 if 0x7FF < number < 1 << 29 else number)
 
 
 def _statements(text: str) -> list[_Line]:
-    """Line number and text of each statement; quoted text may run over several lines."""
+    """Line number and text of each statement; a quoted text may cover several lines."""
     statements: list[_Line] = []
     quoted = False
     for number, line in enumerate(text.splitlines(), start=1):
@@ -113,7 +114,7 @@ def _statements(text: str) -> list[_Line]:
 
 
 def _sound_messages(messages: list[_Message], definitions: str, left_out: list[_Line]) -> list[_Message]:
-    """Messages as far as they can be read; those with a wrong line are found by halving."""
+    """Readable parts of the messages; halving the list finds the messages with a wrong line."""
     if _parsed(_text(messages, definitions)) is not None:
         return messages
     if len(messages) == 1:
@@ -125,7 +126,7 @@ def _sound_messages(messages: list[_Message], definitions: str, left_out: list[_
 
 
 def _sound_message(message: _Message, definitions: str, left_out: list[_Line]) -> list[_Message]:
-    """Readable statements of one message; none if its head is not."""
+    """Message with its readable statements; an empty list if its head is not readable."""
     head = _HEAD + _joined([message.head])
     if _parsed(head) is None:
         left_out.append(message.head)
@@ -136,7 +137,7 @@ def _sound_message(message: _Message, definitions: str, left_out: list[_Line]) -
 
 
 def _sound_lines(head: str, lines: list[_Line], left_out: list[_Line]) -> list[_Line]:
-    """Statements that can be read after ``head``, found by halving."""
+    """Statements that can be read after ``head``; halving the list finds them."""
     if not lines or _parsed(head + _joined(lines)) is not None:
         return lines
     if len(lines) == 1:
@@ -148,7 +149,7 @@ def _sound_lines(head: str, lines: list[_Line], left_out: list[_Line]) -> list[_
 
 
 def _text(messages: list[_Message], definitions: str) -> str:
-    """A DBC of messages and definitions."""
+    """Text of a DBC with messages and definitions."""
     parts = [m.parts() for m in messages]
     return _HEAD + "".join(p[0] for p in parts) + definitions + "".join(p[1] for p in parts)
 
@@ -158,7 +159,7 @@ def _joined(lines: list[_Line]) -> str:
 
 
 def _parsed(text: str) -> Database | None:
-    """Database of a DBC, None where cantools cannot read it, or the last statement has no end."""
+    """Read a DBC; None if cantools cannot read it, or if its last statement has no end."""
     try:
         return _database(text + 'CM_ "";\n')
     except Exception:  # cantools raises many classes for a wrong text
@@ -166,7 +167,7 @@ def _parsed(text: str) -> Database | None:
 
 
 def _database(text: str) -> Database:
-    """Database of a DBC that cantools can read."""
+    """Read a DBC that cantools can read."""
     from cantools.database.can import Database
 
     database = Database(strict=False)

@@ -1,8 +1,8 @@
-"""Writes our DBC from the catalogue; it opens in cantools, canmatrix and the usual bus tools.
+"""Write our DBC from the catalogue, for cantools, canmatrix and the usual bus tools.
 
-Every message is marked as a J1939 parameter group (``VFrameFormat``) with its PGN and cycle time; every
-signal has its SPN. The text depends on the catalogue alone. Unused bits are not described: senders set them
-to 1.
+The DBC marks every message as a J1939 parameter group (``VFrameFormat``) with its PGN and cycle time. It
+states the SPN of every signal. The text depends only on the catalogue. The DBC does not describe unused bits,
+which senders set to 1.
 """
 
 from .catalogue import BusSignal, Catalogue, Message, load_catalogue

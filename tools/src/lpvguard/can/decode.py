@@ -1,8 +1,8 @@
-"""Decodes raw frames by a database, whole arrays at a time.
+"""Decode raw frames with a database, whole arrays at a time.
 
-It decodes any signal that cantools describes: Intel and Motorola, signed, float, multiplexed (nested too),
-frames up to 64 bytes. J1939 messages are found by their parameter group. Priority never matters. The source
-address matters only when frames with the database's address are in the log.
+This module decodes every signal that cantools describes: Intel and Motorola, signed, float, multiplexed (also
+nested), in frames of up to 64 bytes. J1939 messages are found by their parameter group. Their priority is
+ignored. The source address counts only if the log has frames with the address of the database.
 """
 
 from __future__ import annotations
@@ -29,12 +29,12 @@ if TYPE_CHECKING:  # cantools takes long to import
 _PRIORITY = 0x1C000000
 _PDU2 = 0xF0
 _NAMED = 4
-"""So many signals a warning names."""
+"""Largest number of signals that a warning names."""
 
 
 @dataclass(frozen=True)
 class Samples:
-    """A decoded signal: frame (K,) positions in the log, value (K,) physical, number left out by reason."""
+    """Decoded signal: frame positions (K,), physical values (K,), number of frames left out by reason."""
 
     frame: np.ndarray
     value: np.ndarray
@@ -55,7 +55,7 @@ def load_database(path: Path) -> Database:
     Raises
     ------
     InputError
-        If it cannot be read; it names the file and the line.
+        If the file cannot be read. The error names the file and the line.
     """
     import cantools
     from cantools.database.can import Database
@@ -79,14 +79,14 @@ def load_database(path: Path) -> Database:
 
 
 def _sound_dbc(path: Path) -> Database | None:
-    """Readable messages of a DBC, with a warning for the others; None where none can be read."""
+    """Read the readable messages of a DBC and warn about the others; None if no message can be read."""
     if path.suffix.lower() != ".dbc":
         return None
     return _sound_lines(path.read_text(_encoding(path), errors="replace"), path)
 
 
 def _sound_lines(text: str, path: Path) -> Database | None:
-    """Readable messages of a DBC's text, with a warning for the others; None where none can be read."""
+    """Read the readable messages of a DBC's text and warn about the others; None without any."""
     database, left_out = read_sound_lines(text)
     for line in left_out if database.messages else []:
         warnings.warn(f"{path}: {line}", InputWarning, stacklevel=1)
@@ -94,9 +94,9 @@ def _sound_lines(text: str, path: Path) -> Database | None:
 
 
 def _by_canmatrix(path: Path) -> Database | None:
-    """The largest matrix of a file that canmatrix reads; None where it reads none.
+    """Read the largest matrix of a file with canmatrix; None if it reads none.
 
-    Its forms are further ones (DBF, XLS, XLSX), older ones (SYM 5), and ARXML that cantools refuses.
+    canmatrix reads further forms (DBF, XLS, XLSX), older forms (SYM 5), and ARXML that cantools refuses.
     """
     import io
 
@@ -115,7 +115,7 @@ def _by_canmatrix(path: Path) -> Database | None:
 
 
 def _with_signs(database: Database, path: Path) -> Database:
-    """Make unsigned signals signed where their stated range is that of signed bits, and warn."""
+    """Make unsigned signals signed if their stated range is the range of signed bits, and warn."""
     signed = []
     for message in database.messages:
         for signal in message.signals:
@@ -144,10 +144,10 @@ def _with_signs(database: Database, path: Path) -> Database:
 
 
 def contradicting_range(signal: Signal) -> str:
-    """Explain why the stated range of a signal cannot be meant.
+    """Explain why the stated range of a signal must be wrong.
 
-    Such a range begins above the least value of the raw bits and ends above the greatest, or the reverse. It
-    forbids values that occur and allows impossible ones: raw ends stand for physical ones.
+    A range is wrong if both its ends are above, or both below, the ends that the raw bits can reach. It then
+    forbids values that occur and allows impossible values. Such a database often states raw values.
 
     Parameters
     ----------
@@ -155,7 +155,7 @@ def contradicting_range(signal: Signal) -> str:
 
     Returns
     -------
-    str, empty where the range can be meant
+    str, empty if the range can be right
     """
     least, most = signal.minimum, signal.maximum
     if signal.is_float or least is None or most is None or not least < most:
@@ -173,9 +173,9 @@ def contradicting_range(signal: Signal) -> str:
 
 
 def _encoding(path: Path) -> str | None:
-    """Encoding of a text form that does not state it: UTF-8 if valid, else that of Vector's tools.
+    """Encoding of a text file that does not state its encoding: UTF-8 if valid, else that of Vector's tools.
 
-    Units need it ("°/s").
+    Units such as "°/s" need the right encoding.
     """
     if path.suffix.lower() not in {".dbc", ".sym"}:
         return None
@@ -201,7 +201,7 @@ def own_database() -> Database:
 
 
 def is_j1939(message: Message) -> bool:
-    """Return whether the database marks a message as a J1939 parameter group.
+    """Tell if the database marks a message as a J1939 parameter group.
 
     Parameters
     ----------
@@ -229,9 +229,9 @@ def find_frames(
     ----------
     frames : Frames
     message : Message, of cantools
-    j1939 : bool, find by parameter group
-    channel : str, optional, by default the one that the message is on
-    source_address : int, optional, of the sender
+    j1939 : bool, find the frames by parameter group
+    channel : str, optional, by default the channel that has the message
+    source_address : int, optional, address of the sender
     where : str, name of the log in errors
 
     Returns
@@ -241,7 +241,8 @@ def find_frames(
     Raises
     ------
     InputError
-        If a message is on several channels, or a J1939 group from several senders, and nothing says which.
+        If a message is on several channels, or a J1939 group comes from several senders, and neither is
+        chosen.
     """
     if j1939 and message.is_extended_frame:
         matching = _j1939(frames, message, source_address, where)
@@ -287,8 +288,8 @@ def decode_signal(
 ) -> Samples:
     """Decode a signal in chosen frames.
 
-    Left out and counted are frames too short for the signal or of another multiplex, and values that are not
-    finite.
+    Three kinds of frames are left out and counted: too short frames, frames of another multiplex, and frames
+    whose value is not finite.
 
     Parameters
     ----------
@@ -296,7 +297,7 @@ def decode_signal(
     positions : ndarray (K,) of int, frames in the log
     message : Message, of cantools
     signal : Signal, of cantools
-    j1939_codes : bool, leave out raw values above the data range too
+    j1939_codes : bool, also leave out raw values above the data range
 
     Returns
     -------
@@ -317,7 +318,7 @@ def decode_signal(
     value = _number(raw, signal)
     if not keep.all():
         positions, value = positions[keep], value[keep]
-    with np.errstate(invalid="ignore", over="ignore"):  # a float signal may carry anything
+    with np.errstate(invalid="ignore", over="ignore"):  # a float signal may have any value
         physical = value * float(signal.scale) + float(signal.offset)
     finite = np.isfinite(physical)
     if not finite.all():
@@ -327,14 +328,14 @@ def decode_signal(
 
 
 def signed(frames: Frames, samples: Samples, message: Message, bit: Signal) -> Samples:
-    """Give samples of a magnitude the sign that a bit of the same frame tells.
+    """Give each sample of a magnitude the sign from a bit of the same frame.
 
     Parameters
     ----------
     frames : Frames
-    samples : Samples, of the magnitude
+    samples : Samples, samples of the magnitude
     message : Message, of cantools
-    bit : Signal, not 0 where the magnitude is negative
+    bit : Signal, 0 for positive values, otherwise the value is negative
 
     Returns
     -------
@@ -347,7 +348,7 @@ def signed(frames: Frames, samples: Samples, message: Message, bit: Signal) -> S
 
 
 def decode_all(frames: Frames, database, where: str = "") -> dict[str, dict[str, Samples]]:
-    """Decode every signal of every message of a database, magnitudes with the sign of a bit beside them.
+    """Decode every signal of a database; a sign bit of the same message gives a magnitude its sign.
 
     Parameters
     ----------
@@ -375,7 +376,7 @@ def decode_all(frames: Frames, database, where: str = "") -> dict[str, dict[str,
 
 
 def _multiplexed(rows: np.ndarray, message, signal) -> np.ndarray:
-    """True (K,) where the frame carries the signal; follows nested multiplexers upwards."""
+    """Mask (K,) of the frames that contain the signal; nested multiplexers are followed upwards."""
     present = np.ones(len(rows), bool)
     while signal.multiplexer_ids:
         selector = message.get_signal_by_name(signal.multiplexer_signal)
@@ -385,7 +386,7 @@ def _multiplexed(rows: np.ndarray, message, signal) -> np.ndarray:
 
 
 def signal_pieces(signal: Signal | Place) -> list[tuple[int, int, int]]:
-    """(byte, lowest bit in it, number of bits) of each byte of a signal, most significant first."""
+    """(byte, lowest bit in the byte, number of bits) for each byte of a signal, most significant first."""
     pieces, left = [], signal.length
     if signal.byte_order == "big_endian":  # start: the most significant bit
         byte, high = divmod(signal.start, 8)
@@ -403,7 +404,7 @@ def signal_pieces(signal: Signal | Place) -> list[tuple[int, int, int]]:
 
 
 def _raw(rows: np.ndarray, signal) -> np.ndarray:
-    """Unsigned raw values (K,); bytes beyond a log's frame read as 0, and such frames are left out later."""
+    """Unsigned raw values (K,); bytes beyond a frame read as 0, and the caller leaves such frames out."""
     raw = np.zeros(len(rows), np.uint64)
     for byte, low, bits in signal_pieces(signal):
         raw <<= np.uint64(bits)

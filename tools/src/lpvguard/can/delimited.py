@@ -1,4 +1,4 @@
-"""CSV as people have it: a byte-order mark, comment lines before the header, `;` with decimal commas."""
+"""Read CSV files with a byte-order mark, comment lines before the header, or `;` with decimal commas."""
 
 import io
 from collections.abc import Iterable
@@ -9,15 +9,15 @@ import pyarrow.csv as pa_csv
 
 
 def read_csv(data: bytes, null_values: Iterable[str] | None = None) -> tuple[pa.Table, int]:
-    """Read a CSV as people write it.
+    """Read a CSV file of one of the usual dialects.
 
-    Lines before the header that are empty or begin with # are skipped. Where the header has more `;` than
-    commas, `;` divides, and the decimal point may be a comma.
+    Empty lines and lines with # before the header are skipped. If the header has more `;` than commas, `;` is
+    the delimiter. The decimal mark may then be a comma.
 
     Parameters
     ----------
-    data : bytes, of the file
-    null_values : Iterable of str, optional, read as missing
+    data : bytes, content of the file
+    null_values : Iterable of str, optional, texts that mean a missing value
 
     Returns
     -------
@@ -55,7 +55,7 @@ def read_csv(data: bytes, null_values: Iterable[str] | None = None) -> tuple[pa.
 
 
 def _decimal_commas(body: io.BytesIO, delimiter: str) -> bool:
-    """Return whether numbers have a decimal comma, by the lines after the header; only where `;` divides."""
+    """Tell from the lines after the header if numbers have a decimal comma; only with the delimiter `;`."""
     lines = list(islice(body, 1, 20))
     body.seek(0)
     return delimiter == ";" and any(b"," in line for line in lines) and not any(b"." in x for x in lines)

@@ -3,8 +3,8 @@
 .bag, rosbag2 folders (metadata.yaml), .mcap (ROS 2 or JSON), .ulg (PX4), .bin and .log (ArduPilot), .tlog
 (MAVLink), rlog and qlog (openpilot)
 
-Each message's numbers become series TOPIC.field, fields of fields and short arrays too. Times are those at
-which the log got the message; those of PX4 and ArduPilot are the vehicle's own.
+Each number of a message becomes a series TOPIC.field, also in nested fields and short arrays. A time is the
+time at which the log received the message. PX4 and ArduPilot logs have the vehicle's own times.
 """
 
 import json
@@ -21,13 +21,13 @@ from .packed import unpacked
 
 OPENPILOT = ("rlog", "qlog", "rlog.bz2", "qlog.bz2", "rlog.zst", "qlog.zst")
 LONGEST_ARRAY, DEEPEST = 4, 4
-"""Arrays with more entries, and fields further down, are no signals of a vehicle."""
+"""Arrays with more entries, and fields at a greater depth, are not read as signals."""
 Message = tuple[str, int, Any]
-"""Topic, time [ns], and fields as a dictionary, an object or a list."""
+"""Topic, time [ns], and the fields as a dictionary, an object or a list."""
 
 
 def reader_of(path: Path) -> Callable[[Path, Path | None], Table] | None:
-    """The reader of a log of one of these forms, None for any other; given path and schema."""
+    """Return the function (path, schema) -> Table that reads this form of log; None for other forms."""
     if path.is_dir():
         return _rosbag if (path / "metadata.yaml").is_file() else None
     by_suffix = {
@@ -46,7 +46,7 @@ def reader_of(path: Path) -> Callable[[Path, Path | None], Table] | None:
 
 
 def read_foreign(path: Path, schema: Path | None) -> Table:
-    """Read a log that ``reader_of`` knows. InputError where its library is missing, or it cannot be read."""
+    """Read a log that `reader_of` knows; raise InputError if its library is missing or it is unreadable."""
     reader = reader_of(path)
     assert reader is not None
     try:
@@ -67,7 +67,7 @@ def read_foreign(path: Path, schema: Path | None) -> Table:
 
 
 def _table(messages: Iterator[Message], units: dict[str, str] | None = None) -> Table:
-    """Every numeric field of the messages as a series over time."""
+    """Make a series over time of every numeric field of the messages."""
     times: dict[str, list[int]] = {}
     values: dict[str, list[float]] = {}
     for topic, t_ns, fields in messages:
@@ -83,7 +83,7 @@ def _table(messages: Iterator[Message], units: dict[str, str] | None = None) -> 
 
 
 def _numbers(name: str, value: Any, depth: int) -> Iterator[tuple[str, float]]:
-    """The numbers of a message by their names."""
+    """Yield the name and the value of each number of a message."""
     if isinstance(value, bool | int | float | np.number):
         yield name, float(value)
     elif depth < DEEPEST:
@@ -137,7 +137,7 @@ def _mcap(path: Path, _: Path | None) -> Table:
 
 
 class _Undecoded:
-    """Decoders of MCAP's messages that are none of ROS 2: JSON, and nothing of any other."""
+    """Decoders for MCAP messages that are not of ROS 2: JSON is decoded, other messages are not."""
 
     def __init__(self) -> None:
         self.encodings: set[str] = set()
@@ -188,7 +188,7 @@ def _dataflash(path: Path, _: Path | None) -> Table:
 
 
 def _telemetry(path: Path, _: Path | None) -> Table:
-    """MAVLink messages as a ground station stores them."""
+    """Read MAVLink messages that a ground station stored."""
     from pymavlink import mavutil
 
     def messages() -> Iterator[Message]:
@@ -227,7 +227,7 @@ def _openpilot(path: Path, schema: Path | None) -> Table:
 
 @cache
 def _event_of(schema: Path) -> Any:
-    """The type Event of a schema, parsed apart from any other."""
+    """Load the type Event of a schema with a separate parser."""
     import capnp
 
     capnp.remove_import_hook()

@@ -1,4 +1,4 @@
-"""Logs of JSON: an object a line, a list of objects, or one of lists. Fields of fields are called A.B."""
+"""Read JSON logs: an object for each line, or a list of objects or of lists. Nested fields are called A.B."""
 
 import json
 from collections.abc import Iterator
@@ -13,7 +13,7 @@ from .text_tables import TextTable, decoded
 
 
 def read_json(data: bytes, path: Path) -> TextTable:
-    """Read objects as rows of a table, every cell as text.
+    """Read objects as rows of a table; each cell is a text.
 
     Parameters
     ----------
@@ -27,7 +27,7 @@ def read_json(data: bytes, path: Path) -> TextTable:
     Raises
     ------
     InputError
-        If the file holds no objects, or a line is none.
+        If the file holds no objects, or if a line is not an object.
     """
     text = decoded(data, path).strip()
     try:
@@ -58,7 +58,7 @@ def _rows(whole: Any) -> list[Any]:
 
 
 def _fields(name: str, value: Any, depth: int) -> Iterator[tuple[str, str]]:
-    """Names and texts of an object's fields."""
+    """Yield the name and the text of each field of an object."""
     if isinstance(value, dict) and depth < DEEPEST:
         for key, inside in value.items():
             yield from _fields(f"{name}.{key}" if name else str(key), inside, depth + 1)

@@ -1,4 +1,4 @@
-"""Contents of a log: raw frames, or decoded signals."""
+"""Types for the contents of a log: raw frames, or decoded signals."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from ..base.errors import InputError
 EXTENDED = 0x80000000
 """Flag in ``Frames.id``: 29-bit identifier."""
 ERROR_REPORT = 0x20000000
-"""Flag in the identifier of a report of a bus error, as candump logs it."""
+"""Flag in the identifier of an error report, as candump logs it."""
 
 FD_BYTES = 64
-"""The longest data of a frame."""
+"""Largest number of data bytes in a frame."""
 LATEST_S = 9_000_000_000
-"""The latest second that 64 bits of nanoseconds hold, rounded down."""
+"""Latest time [s] that 64 bits of nanoseconds can hold, rounded down."""
 
 
 @dataclass(frozen=True)
@@ -27,7 +27,7 @@ class Frames:
     Attributes
     ----------
     t_ns : ndarray (N,) of int, ns
-    id : ndarray (N,) of int, with EXTENDED
+    id : ndarray (N,) of int, identifier with the flag EXTENDED
     channel : ndarray (N,) of int, index into ``channels``
     length : ndarray (N,) of int, bytes
     data : ndarray (N, width) of uint8
@@ -41,13 +41,13 @@ class Frames:
     data: np.ndarray
     channels: list[str]
     left_out: dict[str, int] = field(default_factory=dict)
-    """Other contents of the log, by kind: error reports, remote frames, lines that are no frame."""
+    """Number of other entries of the log, by kind: error reports, remote frames, lines without a frame."""
 
     def __len__(self) -> int:
         return len(self.t_ns)
 
     def of_channel(self, channel: str | None, where: Path | str) -> Frames:
-        """The frames of one channel (all for None). InputError when the log ``where`` has no such channel."""
+        """Frames of one channel (None: all); raise InputError if the log ``where`` has no such channel."""
         if channel is None:
             return self
         if channel not in self.channels:
@@ -58,7 +58,7 @@ class Frames:
         return self.at(at)
 
     def at(self, rows: np.ndarray | slice) -> Frames:
-        """Some of the frames; ``rows`` is a mask (N,), positions or a slice."""
+        """Select frames; ``rows`` is a mask (N,), positions or a slice."""
         return Frames(
             self.t_ns[rows],
             self.id[rows],
@@ -72,13 +72,13 @@ class Frames:
 
 @dataclass(frozen=True)
 class Series:
-    """A signal of a decoded log.
+    """Signal of a decoded log.
 
     Attributes
     ----------
     t_ns : ndarray (N,) of int, ns
-    value : ndarray (N,), NaN where the log has none
-    unit : str, as the log says, or ""
+    value : ndarray (N,), NaN where the log has no value
+    unit : str, unit that the log states, or ""
     """
 
     t_ns: np.ndarray
@@ -88,7 +88,7 @@ class Series:
 
 @dataclass(frozen=True)
 class Table:
-    """A decoded log.
+    """Decoded log.
 
     Attributes
     ----------
@@ -101,7 +101,7 @@ class Table:
 def row_of(
     t_s: float, identifier: int, extended: bool, channel: object, data: bytes
 ) -> tuple[int, int, str, bytes]:
-    """Time [ns], identifier with its flag, channel and data; ValueError for what no frame has."""
+    """Make a row: time [ns], identifier with its flag, channel, data; ValueError for impossible values."""
     if not 0 <= identifier < (1 << 29 if extended else 1 << 11):
         raise ValueError(f"identifier {identifier:#x} has too many bits")
     if not abs(t_s) <= LATEST_S:
@@ -112,7 +112,7 @@ def row_of(
 
 
 def frames_of_rows(rows: list[tuple[int, int, str, bytes]], left_out: dict[str, int]) -> Frames:
-    """Frames of rows as ``row_of`` makes them."""
+    """Make frames from rows of `row_of`."""
     width = max((len(row[3]) for row in rows), default=8)
     width = 8 if width <= 8 else FD_BYTES
     channels = sorted({row[2] for row in rows})

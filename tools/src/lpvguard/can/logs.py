@@ -1,4 +1,4 @@
-"""Reads logs: raw CAN frames, or tables of decoded signals.
+"""Read logs: raw CAN frames, or tables of decoded signals.
 
 raw      candump (-l, -L, and the screen with -t), ASC, BLF, TRC, MF4 with bus logging, CSV and Parquet with
          the columns of python-can (timestamp, arbitration_id, extended, dlc, data); a line a frame of
@@ -8,8 +8,8 @@ decoded  CSV, VBOX, JSON, Parquet and MATLAB files with one column a signal, tex
          (long_tables.py), folders with one of them a topic (topics.py), MF4 with one channel a signal;
          rosbag, MCAP, ULog, DataFlash and openpilot's logs (foreign_logs.py)
 
-candump goes through a compiled parser. Other raw forms go through python-can (which takes a bus-off report of
-a candump log as a frame) and asammdf.
+A compiled parser reads candump logs, because python-can reads their bus-off reports as frames. python-can and
+asammdf read the other raw forms.
 """
 
 import ctypes
@@ -66,7 +66,7 @@ _RAW_COLUMNS = {"timestamp", "arbitration_id", "data"}
 
 
 def candump_line(t_us: int, channel: str, identifier: int, data: bytes) -> str:
-    """Write a line of candump -L, which equals that of candump -l.
+    """Write a line in the form of candump -L and candump -l.
 
     Parameters
     ----------
@@ -92,9 +92,9 @@ def read_log(
     Parameters
     ----------
     path : Path
-    time_column : str, optional, time of a decoded table, by default the first of t, time, timestamp
-    rate_hz : float, optional, Hz, rows a second of a decoded table, whose times are then not read
-    schema : Path, optional, log.capnp of an openpilot log
+    time_column : str, optional, time column of a decoded table, by default the first of t, time, timestamp
+    rate_hz : float, optional, Hz, rows per second of a decoded table, used instead of its times
+    schema : Path, optional, file log.capnp for an openpilot log
 
     Returns
     -------
@@ -205,7 +205,7 @@ def _archive(path: Path) -> Path | None:
 
 
 def _is_log(path: Path) -> bool:
-    """Return whether something in a folder is a log, by its name."""
+    """Tell from its name if a folder's entry is a log."""
     if reader_of(path) is not None or not path.is_file():
         return reader_of(path) is not None
     try:
@@ -215,7 +215,7 @@ def _is_log(path: Path) -> bool:
 
 
 def stem(path: Path) -> str:
-    """Return a log's file name without suffixes, with its folder where openpilot wrote it.
+    """Return a log's file name without suffixes; the name of an openpilot log includes its folder.
 
     Parameters
     ----------
@@ -233,7 +233,7 @@ def stem(path: Path) -> str:
 
 
 def _is_table(path: Path) -> bool:
-    """Return whether a file with a name of candump holds a table: numbers in named columns, no frame."""
+    """Tell if a file with a candump suffix holds a table: named columns of numbers and no frame."""
     from .text_tables import read_text_table
 
     head = unpacked(path, _HEAD)
@@ -248,7 +248,7 @@ def _is_table(path: Path) -> bool:
 
 
 def is_raw_table(path: Path) -> bool:
-    """Return whether a CSV or Parquet file holds raw frames; False if it cannot be read.
+    """Tell if a CSV or Parquet file holds raw frames; False if it cannot be read.
 
     Parameters
     ----------
@@ -306,7 +306,7 @@ def _read_candump(path: Path) -> Frames:
 
 
 def candump_frames(text: np.ndarray) -> Frames:
-    """Parse whole lines of candump, as a log or as its screen.
+    """Parse whole lines of a candump log or of candump's screen output.
 
     Parameters
     ----------
@@ -324,9 +324,9 @@ def candump_frames(text: np.ndarray) -> Frames:
 
 
 _MANY = 20
-"""So many frames never have one time."""
+"""From this number of frames on, equal times of all frames are an error."""
 _BACKWARDS = 0.2
-"""At most this share of the times of a log is before the one above."""
+"""Largest share of the times that may be earlier than the previous time."""
 _HEAD = 1 << 16
 """Number of bytes at the start of a log that show its form."""
 _COLOUR = re.compile(rb"\x1b\[[0-9;]*m")
@@ -338,13 +338,13 @@ _SCREEN = re.compile(
     rb"(?:(remote request)|((?:(?:[01]{8}|[0-9A-Fa-f]{2})[ `]?)*))[^\r\n]*",
     re.MULTILINE,
 )
-"""A line of candump's screen with time stamps: (seconds) interface identifier [length] bytes."""
+"""Line of candump's screen output with time stamps: (seconds) interface identifier [length] bytes."""
 
 
 def _as_logged(match: re.Match[bytes]) -> bytes:
-    """The same line as candump -l writes it; a length of two digits is that of a CAN FD frame.
+    """Convert a line of the screen output to the form of candump -l; a two-digit length means CAN FD.
 
-    A line whose number of bytes contradicts its length stays unchanged and is no frame.
+    If the number of bytes contradicts the length, the line is returned unchanged and is no frame.
     """
     stamp, interface, identifier, length, remote, digits = match.groups()
     if b"-" in stamp:  # a date, of candump -t A
@@ -360,9 +360,10 @@ def _as_logged(match: re.Match[bytes]) -> bytes:
 
 
 def _screen_bytes(digits: bytes, length: int) -> bytes | None:
-    """Bytes (length,) of candump's screen; None where the number of bytes differs.
+    """Bytes (length,) of a line of the screen output; None if the number of bytes differs from the length.
 
-    Digits are hexadecimal, or binary with ``-i``. Backticks of ``-S`` mean that the last byte stands first.
+    Digits are hexadecimal, or binary with ``-i``. Backticks (option ``-S``) mean that the last byte comes
+    first.
     """
     groups = digits.replace(b"`", b" ").split()
     widths = {len(group) for group in groups}
@@ -373,7 +374,7 @@ def _screen_bytes(digits: bytes, length: int) -> bytes | None:
 
 
 def _parse_candump(text: np.ndarray) -> Frames:
-    """Frames of the candump log ``text`` (bytes,) by the compiled parser (``base/_native/candump.c``)."""
+    """Parse the candump log ``text`` (bytes,) with the compiled parser (``base/_native/candump.c``)."""
     block = 1 << 20  # stays in the cache
     capacity = 1 + sum(
         int(np.count_nonzero(text[i : i + block] == ord("\n"))) for i in range(0, len(text), block)
@@ -499,7 +500,7 @@ def _read_table(path: Path, suffix: str, time_column: str | None, rate_hz: float
 
 
 def _of_text(path: Path, suffix: str, time_column: str | None, rate_hz: float | None):
-    """A TextTable; Frames where it holds raw ones, and a Table where it has a signal a row."""
+    """Read a text table: Frames for raw frames, a Table for one signal per row, otherwise a TextTable."""
     from .json_lines import read_json
     from .long_tables import long_columns, series_of_rows
     from .raw_tables import is_raw, raw_frames
@@ -521,7 +522,7 @@ def _of_text(path: Path, suffix: str, time_column: str | None, rate_hz: float | 
 def _times(
     table, units: dict[str, str], path: Path, first_line: int, named: str | None, rate_hz: float | None
 ) -> tuple[np.ndarray, np.ndarray, set[str]]:
-    """As ``time_of``; at a rate where it is given."""
+    """Times of the rows from ``rate_hz`` if it is given, otherwise from `time_of`."""
     from .time_columns import time_of
 
     if rate_hz is None:

@@ -1,4 +1,4 @@
-"""Tables with a signal a row, as diagnosis tools and telemetry stores write them: time, name, value, unit."""
+"""Read tables with one signal per row (time, name, value, unit), as diagnosis tools write them."""
 
 import re
 from pathlib import Path
@@ -16,11 +16,11 @@ _NAME = re.compile(
 _VALUE = re.compile(r"(telemetry_|signal_?)?(value|val)|reading")
 _UNIT = re.compile(r"units?")
 _MOST_NAMES, _LEAST_ROWS = 1000, 5
-"""Names of signals repeat: at most so many, and so many rows of each on average."""
+"""Largest number of signal names, and least average number of rows for each name."""
 
 
 def long_columns(read: TextTable) -> tuple[str, str, str | None] | None:
-    """Find the columns of a table with a signal a row.
+    """Find the columns of a table with one signal per row.
 
     Parameters
     ----------
@@ -28,7 +28,7 @@ def long_columns(read: TextTable) -> tuple[str, str, str | None] | None:
 
     Returns
     -------
-    tuple of the columns of names, of values and of units or None; None where it is no such table
+    tuple of the columns of names, of values and of units (or None); None for another kind of table
     """
     low = {re.sub(r"[^a-z0-9]+", "_", name.lower()).strip("_"): name for name in read.table.column_names}
     name, value, unit = (
@@ -45,19 +45,19 @@ def long_columns(read: TextTable) -> tuple[str, str, str | None] | None:
 def series_of_rows(
     read: TextTable, columns: tuple[str, str, str | None], t_ns: np.ndarray, keep: np.ndarray, path: Path
 ) -> dict[str, Series]:
-    """Make a series of the rows of each name.
+    """Make one series for each signal name.
 
     Parameters
     ----------
     read : TextTable, every cell as text
-    columns : as ``long_columns`` returns them
-    t_ns : ndarray (K,) of int, ns, times of the rows that have one
-    keep : ndarray (N,) of bool, which rows have one
+    columns : tuple, result of `long_columns`
+    t_ns : ndarray (K,) of int, ns, times of the rows that have a time
+    keep : ndarray (N,) of bool, mask of the rows that have a time
     path : Path, named in errors
 
     Returns
     -------
-    dict[str, Series], of the names with numbers
+    dict[str, Series], by name, for the names with numbers
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Tables in MATLAB files: one vector of numbers a column, as `save -v7` writes it, also in structures.
+"""Read tables from MATLAB files of `save -v7`: each vector of numbers is a column, also in structures.
 
 scipy reads files of version 4. In those of version 5 a damaged number makes it read foreign memory, because
 it indexes its table of types; this module reads them itself.
@@ -29,7 +29,7 @@ _OF_SIMULINK = ".signals.values"
 """End of the names of signals that Simulink writes as structures with time."""
 _COMPLEX = 0x800
 _DESCRIBED = 4096
-"""Bytes of a compressed variable that hold its description."""
+"""Number of bytes at the start of a compressed variable that hold its description."""
 _DENSEST = 1032
 """Largest number of bytes that zlib unpacks from one byte."""
 
@@ -43,12 +43,12 @@ def read_matlab(path: Path) -> pa.Table:
 
     Returns
     -------
-    Table, a column a vector
+    Table, one column for each vector
 
     Raises
     ------
     InputError
-        If their lengths differ, if one is damaged, and for HDF5 files of version 7.3.
+        If the vectors' lengths differ, if a vector is damaged, or if the file is an HDF5 file of version 7.3.
     """
     try:
         content = path.read_bytes()
@@ -65,7 +65,7 @@ def read_matlab(path: Path) -> pa.Table:
     if len({len(v) for v in columns.values()}) > 1:
         lengths = ", ".join(f"{n} {len(v)}" for n, v in columns.items())
         raise InputError(path, "", f"variables of different lengths ({lengths})", EXPECTED)
-    # MATLAB's file keeps the machine's byte order; Arrow takes the native one.
+    # A MATLAB file has the byte order of its writer; Arrow needs the native byte order.
     return pa.table({n: v.astype(v.dtype.newbyteorder("=")) for n, v in columns.items()})
 
 
@@ -102,7 +102,7 @@ def _vectors(content: bytes) -> dict[str, np.ndarray] | None:
 
 
 def _tag(content: bytes, at: int, order: str) -> tuple[int, int, int]:
-    """Type of an element, start of its data, and their number of bytes."""
+    """Read the tag of an element: its type, the start of its data, and the number of data bytes."""
     first, second = (int(word) for word in np.frombuffer(content, order + "u4", 2, at))
     return (first & 0xFFFF, at + 4, first >> 16) if first >> 16 else (first, at + 8, second)
 

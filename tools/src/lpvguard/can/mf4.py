@@ -1,4 +1,4 @@
-"""Reads MF4 by asammdf: frames of bus logging, or one channel a signal."""
+"""Read MF4 files with asammdf: frames of bus logging, or one channel for each signal."""
 
 from pathlib import Path
 
@@ -23,7 +23,7 @@ def read_mf4(path: Path) -> Frames | Table:
     Raises
     ------
     InputError
-        If it cannot be read.
+        If the file cannot be read.
     """
     try:
         from asammdf import MDF
@@ -69,7 +69,7 @@ def _mf4_frames(mdf, places: list[tuple[int, int]]) -> Frames:
     t_ns = np.concatenate(t)
     order = np.argsort(
         t_ns, kind="stable"
-    )  # groups are one bus each: only together are they in order of time
+    )  # each group holds one bus, so the frames of all groups must be sorted by time
     numbers = np.concatenate(channel)[order]
     present, position = np.unique(numbers, return_inverse=True)
     return Frames(
@@ -83,7 +83,7 @@ def _mf4_frames(mdf, places: list[tuple[int, int]]) -> Frames:
 
 
 def _mf4_time(t_s: np.ndarray) -> np.ndarray:
-    """Times (N,) in ns of times in s; ValueError for one that is none."""
+    """Convert times (N,) from s to ns; raise ValueError for an impossible time."""
     bad = t_s[~(np.abs(t_s) <= LATEST_S)]
     if len(bad):
         raise ValueError(f"time {bad[0]} s")

@@ -1,13 +1,13 @@
-"""A car's own bus: the messages of its CAN database that carry a vehicle's signals, as an own catalogue.
+"""Make a catalogue for a car's own bus from the messages of its CAN database that the vehicle needs.
 
-Every such message becomes a message of a catalogue that the core's receiver supervises (can.h). Each of its
-needed signals keeps its bits there, as an unsigned number in Intel order. The module ``own_code.py``
-generates the C that turns a frame of the car into a frame of that message. A checksum or counter of the car's
-frame becomes the CRC and counter of E2E profile 11. A wrong one stays wrong, and a repeated one stays
-repeated.
+Every needed message of the car becomes a message of the catalogue, which the core's receiver supervises
+(can.h). Each needed signal keeps its raw bits, as an unsigned number in Intel order. The module
+``own_code.py`` generates the C code that converts a frame of the car into a frame of the catalogue. The car's
+checksum and counter become the CRC and counter of E2E profile 11. A wrong checksum becomes a wrong CRC. A
+repeated counter becomes a repeated counter.
 
-Limits: a signal has at most 16 bits and is in every frame of its message. A message has at most 64 bits of
-signals, or 52 if it has a checksum or a counter. There are at most 8 messages.
+There are limits. A signal has at most 16 bits and is in every frame of its message. A message has at most 64
+bits of signals, or 52 bits with a checksum or a counter. There are at most 8 messages.
 """
 
 from __future__ import annotations
@@ -38,18 +38,22 @@ if TYPE_CHECKING:  # cantools takes long to import
 
 OWN_ADDRESS, CAR_ADDRESS = 0xFC, 0x00
 _PROPRIETARY_B = 0xFF00
-"""First of the 256 parameter groups that J1939 leaves to manufacturers, used for the catalogue's messages."""
+"""First of the 256 parameter groups that J1939 reserves for manufacturers; the catalogue's messages use
+them."""
 _SIGNAL_BITS, _WIDEST_BITS, _FRAME_BITS = 16, 32, 64
-"""Most bits of a signal of the catalogue, of one of the car (in two of these), and of a frame."""
+"""Largest number of bits of a catalogue signal, of a car signal (carried by two of them), and of a frame."""
 _ROUNDING = 0.5
-"""Share of a signal's step by which a raw value may miss a stated end."""
+"""Tolerance, in raw steps of a signal, at the ends of a stated range."""
 
 
 @dataclass(frozen=True)
 class Carried:
-    """A signal of the car, or its upper or lower half, and the one of the catalogue that carries its bits.
-    ``flip`` holds the raw bits to invert, so that the value is unsigned and rises with the physical one.
-    ``sign`` is the bit that tells the sign of a magnitude, which then counts from the middle of the range."""
+    """Signal of the car, or one half of it, with the catalogue signal that carries its bits.
+
+    ``flip`` holds the raw bits to invert, so that the value is unsigned and increases with the physical
+    value. ``sign`` is the bit with the sign of a magnitude. The value then counts from the middle of the
+    range.
+    """
 
     name: str
     car: Bits
@@ -60,10 +64,10 @@ class Carried:
 
 @dataclass(frozen=True)
 class CarriedMessage:
-    """A message of the car, ours that carries it, and the places of its checksum and counter.
+    """Message of the car, the catalogue message that carries it, and the places of checksum and counter.
 
-    ``checksum_name`` is None without one. ``counters`` is the number of the counter's values.
-    ``any_priority`` marks a J1939 group.
+    ``checksum_name`` is None for a message without a checksum. ``counters`` is the number of values of the
+    counter. ``any_priority`` marks a J1939 group.
     """
 
     car: CarMessage
@@ -80,24 +84,24 @@ class CarriedMessage:
 
     @property
     def identifier(self) -> int:
-        """Identifier of the car's message, with EXTENDED."""
+        """Identifier of the car's message, with the flag EXTENDED."""
         return self.car.frame_id | (EXTENDED if self.car.is_extended_frame else 0)
 
     @property
     def mask(self) -> int:
-        """Bits of an identifier that identify the message: all but the priority of a J1939 group."""
+        """Identifier bits that identify the message: all bits except the priority of a J1939 group."""
         return ANY_PRIORITY if self.any_priority and self.car.is_extended_frame else 0xFFFFFFFF
 
 
 @dataclass(frozen=True)
 class CarBus:
-    """Content of a car's own bus that the receiver needs.
+    """Part of a car's own bus that the receiver needs.
 
     Attributes
     ----------
     catalogue : Catalogue
     messages : list of CarriedMessage
-    places : dict, message and signals of the catalogue by vehicle signal; their sum is factor * value
+    places : dict, message and signals of the catalogue by vehicle signal; the signals' sum is factor * value
     """
 
     catalogue: Catalogue
@@ -119,7 +123,7 @@ def own_bus(project: Project) -> CarBus:
     Raises
     ------
     InputError
-        If the database lacks something, or a signal cannot be carried.
+        If the database lacks a needed entry, or if a signal cannot be carried.
     """
     where = f"vehicle {project.name}"
     if project.can is None:
@@ -157,12 +161,12 @@ def own_bus(project: Project) -> CarBus:
 
 @dataclass(frozen=True)
 class Demand:
-    """A message of the car that carries demands of a controller.
+    """Message of the car with demands of a controller.
 
     Attributes
     ----------
     message : CarriedMessage
-    signals : list of (Signal, int, float), with the index of the input behind each, and bus value per value
+    signals : list of (Signal, int, float), signal, index of its input, and factor from input to bus value
     """
 
     message: CarriedMessage
@@ -170,7 +174,7 @@ class Demand:
 
 
 def demand_messages(project: Project) -> list[Demand]:
-    """Messages of a vehicle's own bus that carry its demands.
+    """List the messages of a vehicle's own bus that carry its demands.
 
     Parameters
     ----------
@@ -245,7 +249,7 @@ def _car_signal(car: CarMessage, name: str, where: str) -> CarSignal:
 def _carried(
     car: CarMessage, names: list[str], settings: OwnMessage, number: int, where: str
 ) -> CarriedMessage:
-    """Message ``number`` of the catalogue, with the signals ``names`` of ``car`` in turn."""
+    """Make message ``number`` of the catalogue with the signals ``names`` of ``car``, in this order."""
     place = f"message {car.name}"
     period_ms = settings.period_ms or car.cycle_time
     if not period_ms:
@@ -297,10 +301,10 @@ def _carried(
 def _multiplex(
     car: CarMessage, names: list[str], counted: bool, where: str
 ) -> tuple[CarSignal | None, tuple[int, ...]]:
-    """Selector of the multiplex that ``names`` are in and its values for them; None, () without one.
+    """Selector of the multiplex that contains ``names``, and its values for them; None and () without one.
 
-    Raises InputError where no frame has all of them, the selector is multiplexed itself, or the message has a
-    counter, of which a multiplex sees some values only.
+    Raises InputError if no frame has all the signals, if the selector is itself multiplexed, or if the
+    message has a counter. A multiplex would see only some values of the counter.
     """
     multiplexed = [s for name in names if (s := _car_signal(car, name, where)).multiplexer_ids]
     if not multiplexed:
@@ -329,7 +333,7 @@ def _word(name: str) -> str:
 
 
 def _carry(signal: CarSignal, sign: CarSignal | None, name: str, start: int, where: str) -> list[Carried]:
-    """A signal of the car as one or two unsigned ones of ours from bit ``start`` on, whose sum it is."""
+    """Carry a signal of the car as one unsigned signal, or as the sum of two, from bit ``start`` on."""
     widest = _SIGNAL_BITS - 1 if sign else _WIDEST_BITS
     if signal.is_float or signal.length > widest or (sign and signal.offset):
         raise InputError(
@@ -371,7 +375,7 @@ def _carry(signal: CarSignal, sign: CarSignal | None, name: str, start: int, whe
         return [Carried(signal.name, signal, ours("", start, length, scale, offset, accepted), flip, sign)]
     low = (1 << _SIGNAL_BITS) - 1
     upper, lower = _halves(signal)
-    room = scale * low  # the lower half adds at most this
+    room = scale * low  # largest value of the lower half
     if accepted:
         accepted = {"min": max(accepted["min"] - room, offset), "max": accepted["max"]}
     high = ours("_high", start, upper.length, scale * (low + 1), offset, accepted)
@@ -383,19 +387,19 @@ def _carry(signal: CarSignal, sign: CarSignal | None, name: str, start: int, whe
 
 
 def _halves(signal: CarSignal) -> tuple[Place, Place]:
-    """Places of the bits above the lowest _SIGNAL_BITS of a signal, and of these."""
+    """Places of a signal's upper bits and of its lowest _SIGNAL_BITS bits."""
     above = signal.length - _SIGNAL_BITS
     if signal.byte_order == "little_endian":
         return Place(signal.start + _SIGNAL_BITS, above), Place(signal.start, _SIGNAL_BITS)
-    down = 8 * (signal.start // 8) + 7 - signal.start % 8 + above  # bits from the frame's first one on
+    down = 8 * (signal.start // 8) + 7 - signal.start % 8 + above  # counted from the first bit of the frame
     lower = 8 * (down // 8) + 7 - down % 8
     return Place(signal.start, above, "big_endian"), Place(lower, _SIGNAL_BITS, "big_endian")
 
 
 def _accepted(signal: CarSignal, low: float, high: float) -> dict[str, float] | None:
-    """Range of the database, whose ends are rounded, within the raw values' reach ``low`` to ``high``.
+    """Range of the database, rounded and limited to the raw values' range ``low`` to ``high``.
 
-    None where it states no range that can be meant.
+    The result is None if the database states no range, or a range that must be wrong.
     """
     if signal.minimum is None or signal.maximum is None or not signal.minimum < signal.maximum:
         return None
@@ -408,9 +412,9 @@ def _accepted(signal: CarSignal, low: float, high: float) -> dict[str, float] | 
 
 
 def _protection(car: CarMessage, settings: OwnMessage, where: str) -> tuple[Bits | None, Bits | None, int]:
-    """Places of checksum and counter, None without one, and the number of the counter's values.
+    """Places of checksum and counter (None without one), and the number of values of the counter.
 
-    Raises InputError where the settings do not fit the message.
+    Raises InputError if the settings do not fit the message.
     """
     place = f"can.messages.{car.name}"
     named = _named(car, settings.counter, "COUNTER", f"{place}.counter", where)
@@ -432,7 +436,7 @@ def _protection(car: CarMessage, settings: OwnMessage, where: str) -> tuple[Bits
 
 
 def _named(car: CarMessage, stated: str | None, usual: str, field: str, where: str) -> Any:
-    """Signal of the stated name, or else of the usual one; None without either."""
+    """Signal with the stated name, otherwise the one with the usual name; None if there is neither."""
     name = stated or usual
     signal = next((s for s in car.signals if s.name == name), None)
     if signal is None and stated is not None:
@@ -451,7 +455,7 @@ def _at(place: Place | None, car: CarMessage) -> Place | None:
 
 
 def _require_fit(kind: Protection, checksum: Bits, car: CarMessage, settings: OwnMessage, where: str) -> None:
-    """Raise InputError unless width, bytes, length and data ids fit the checksum's definition."""
+    """Raise InputError unless the checksum's width, bytes, frame length and data ids fit its definition."""
     place = f"can.messages.{car.name}"
     pieces = signal_pieces(checksum)
     if checksum.length != kind.bits or len(pieces) != max(kind.bits // 8, 1) or pieces[0][0] >= car.length:

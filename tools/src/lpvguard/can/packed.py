@@ -1,4 +1,4 @@
-"""Logs that are packed: .gz, .bz2, .xz, .zst, or .zip; one with several is unpacked into a folder."""
+"""Read compressed logs: .gz, .bz2, .xz, .zst, .zip. A .zip with several logs is unpacked into a folder."""
 
 import bz2
 import gzip
@@ -14,7 +14,7 @@ from ..base.errors import InputError
 
 
 def _zstandard(data: bytes) -> bytes:
-    """Bytes of a Zstandard stream, whose frames need not state their size."""
+    """Decompress a Zstandard stream; its frames may omit their size."""
     import pyarrow as pa
 
     with pa.CompressedInputStream(pa.BufferReader(data), "zstd") as stream:
@@ -27,13 +27,13 @@ _UNPACK: dict[str, Callable[[bytes], bytes]] = {
     ".xz": lzma.decompress,
     ".zst": _zstandard,
 }
-"""Functions that unpack a file, by its suffix."""
+"""Function that decompresses a file, by suffix."""
 PACKED = frozenset((*_UNPACK, ".zip"))
-"""Suffixes of packed files."""
+"""Suffixes of compressed files."""
 
 
 def name_inside(path: Path) -> str:
-    """Name a log's file as it is without its packing.
+    """Return the file name of a log without its compression.
 
     Parameters
     ----------
@@ -46,7 +46,7 @@ def name_inside(path: Path) -> str:
     Raises
     ------
     InputError
-        If a .zip cannot be read, or holds no file or several.
+        If a .zip cannot be read, or does not hold exactly one file.
     """
     if path.suffix.lower() != ".zip":
         return path.stem if path.suffix.lower() in _UNPACK else path.name
@@ -114,12 +114,12 @@ def unpacked_folder(path: Path) -> Path:
 
 
 def unpacked(path: Path, most: int | None = None) -> bytes:
-    """Read a file, unpacked as its suffix says.
+    """Read a file and decompress it according to its suffix.
 
     Parameters
     ----------
     path : Path
-    most : int, optional, number of first bytes, by default all
+    most : int, optional, number of bytes to read from the start, by default all
 
     Returns
     -------
@@ -128,7 +128,7 @@ def unpacked(path: Path, most: int | None = None) -> bytes:
     Raises
     ------
     InputError
-        If it cannot be read, or its packing is damaged.
+        If the file cannot be read or is damaged.
     """
     inside = name_inside(path)
     try:
@@ -154,7 +154,7 @@ def unpacked(path: Path, most: int | None = None) -> bytes:
 
 
 def suffix_inside(path: Path) -> str:
-    """Find the suffix of a log without its packing, in lower case; "" where it has none.
+    """Return the suffix of a log without its compression, in lower case; "" if there is none.
 
     Parameters
     ----------

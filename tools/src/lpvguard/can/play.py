@@ -1,7 +1,7 @@
-"""Turns drives into frames of the catalogue's messages, and plays frames onto a bus or into a candump log.
+"""Convert drives to frames of the catalogue's messages, and send frames to a bus or to a candump log.
 
-``encode`` is the numpy version of the generated C codec. It rounds to the nearest raw value, saturates, and
-sends NaN as "not available". It sets unused bits to 1 and adds E2E profile 11 where the catalogue says so.
+`encode` is the numpy version of the generated C codec. It rounds to the nearest raw value, saturates, and
+sends NaN as "not available". It sets unused bits to 1. It adds E2E profile 11 if the catalogue states it.
 """
 
 import time
@@ -27,14 +27,13 @@ def _crc8_table() -> np.ndarray:
 
 
 def protect(data: np.ndarray, data_id: int, first_counter: int = 0) -> None:
-    """Apply E2E profile 11, data-id mode BOTH, in place to consecutive frames ``data`` (N, 8) of a
-    message."""
+    """Write E2E profile 11, data-id mode BOTH, into consecutive frames ``data`` (N, 8) of a message."""
     data[:, 1] = data[:, 1] & 0xF0 | ((first_counter + np.arange(len(data))) % COUNTERS).astype(np.uint8)
     data[:, 0] = e2e_crc(data, data_id)
 
 
 def e2e_crc(data: np.ndarray, data_id: int) -> np.ndarray:
-    """Compute byte 0 of frames by E2E profile 11, data-id mode BOTH.
+    """Compute the CRC (byte 0) of frames by E2E profile 11, data-id mode BOTH.
 
     Parameters
     ----------
@@ -57,14 +56,14 @@ def e2e_crc(data: np.ndarray, data_id: int) -> np.ndarray:
 
 
 def encode_raw(signal: BusSignal, physical: np.ndarray) -> np.ndarray:
-    """Raw values (N,) of physical ones; NaN gives the largest code, "not available"."""
+    """Convert physical to raw values (N,); NaN gives the largest code, "not available"."""
     steps = np.floor((np.asarray(physical, float) - signal.offset) / signal.scale + 0.5)
     absent = (1 << signal.length) - 1
     return np.where(np.isnan(steps), absent, np.clip(steps, 0, signal.raw_max)).astype(np.uint64)
 
 
 def encode(message: Message, values: Mapping[str, np.ndarray], n: int) -> np.ndarray:
-    """Data (n, 8) of ``message``; signals that ``values`` does not name are sent as "not available"."""
+    """Make the data (n, 8) of a message; signals without ``values`` are sent as "not available"."""
     whole = np.full(n, 0xFFFFFFFFFFFFFFFF, np.uint64)
     for signal in message.signals:
         if signal.name in values:
@@ -77,12 +76,12 @@ def encode(message: Message, values: Mapping[str, np.ndarray], n: int) -> np.nda
 
 
 def frames_of_drive(t: np.ndarray, values: Mapping[tuple[str, str], np.ndarray]) -> Frames:
-    """Make the frames of a drive, each message on its own period from t[0] on.
+    """Make the frames of a drive; each message is sent with its own period from t[0] on.
 
     Parameters
     ----------
     t : ndarray (N,), s, increasing
-    values : Mapping, ndarray (N,) on the bus by (message, signal), interpolated linearly
+    values : Mapping, bus values (N,) by (message, signal), interpolated linearly
 
     Returns
     -------
@@ -113,7 +112,7 @@ def frames_of_drive(t: np.ndarray, values: Mapping[tuple[str, str], np.ndarray])
         )
     t_ns = np.concatenate([p[0] for p in parts])
     id_ = np.concatenate([np.full(len(p[0]), p[1], np.uint32) for p in parts])
-    order = np.lexsort((id_, t_ns))  # at the same time the lower identifier goes first, as on a bus
+    order = np.lexsort((id_, t_ns))  # of simultaneous frames, the lower identifier is sent first, as on a bus
     n = len(order)
     return Frames(
         t_ns[order],
@@ -128,9 +127,9 @@ def frames_of_drive(t: np.ndarray, values: Mapping[tuple[str, str], np.ndarray])
 def values_of_drive(project, drive) -> dict[tuple[str, str], np.ndarray]:
     """Return the bus values that `frames_of_drive` sends for a drive.
 
-    The bus value is factor * value for every signal with a CAN place. A receiver refuses a frame without one
-    of its supervised signals. Those that the drive lacks are filled in: lateral acceleration with speed * yaw
-    rate (steady cornering), all others with 0.
+    The bus value is factor * value for every signal with a CAN place. A receiver refuses a frame that lacks a
+    supervised signal. If the drive lacks such a signal, it is replaced: lateral acceleration by speed * yaw
+    rate (steady cornering), every other signal by 0.
 
     Parameters
     ----------
@@ -177,7 +176,7 @@ def values_of_drive(project, drive) -> dict[tuple[str, str], np.ndarray]:
 
 
 def write_candump(frames: Frames, path: Path) -> None:
-    """Write the frames as ``candump -l`` logs them."""
+    """Write the frames in the form of ``candump -l``."""
     lines = (
         candump_line(t // 1000, frames.channels[c], i, d[:n].tobytes())
         for t, c, i, n, d in zip(
@@ -202,15 +201,15 @@ def play(
 ) -> float:
     """Send frames on a bus at the recorded pace.
 
-    A frame is never sent early. Lateness does not add up, because every frame is timed from the start. Where
-    the log's clock goes back, the next frame follows at once.
+    A frame is never sent early. Delays do not accumulate, because every frame is timed from the start. If the
+    log's clock goes back, the next frame is sent at once.
 
     Parameters
     ----------
     frames : Frames
     bus : Bus, of python-can
-    speed : float, factor on the pace; inf does not wait, default 1.0
-    sleep, clock : Callable, of the module time by default
+    speed : float, factor of the recorded pace, inf: no waiting, default 1.0
+    sleep, clock : Callable, by default functions of the module time
 
     Returns
     -------

@@ -1,7 +1,7 @@
-"""Checksums of cars' own buses, by name: their data, their places and their C text.
+"""Checksums of cars' own buses, by name: the data that they cover, their places, and their C code.
 
-For a frame of identifier I with L bytes, "others" are the bytes that do not hold the checksum. Sources: the
-public databases and packers of commaai/opendbc; AUTOSAR_PRS_E2EProtocol.
+A frame has the identifier I and L bytes. "Others" are the bytes that do not hold the checksum. The sources
+are the public databases and packers of commaai/opendbc, and AUTOSAR_PRS_E2EProtocol.
 
     toyota               bytes of I + L + others, modulo 256; the last byte
     honda                8 (11 for 29-bit I) - (all half bytes of I and of the frame but the checksum),
@@ -43,12 +43,12 @@ class Place:
 
 @dataclass(frozen=True)
 class Protection:
-    """A checksum by name.
+    """Definition of a checksum.
 
-    ``bits`` is its width. ``checksum`` and ``counter`` are the places by definition; a negative start counts
-    from the frame's end, and None leaves them to the database. ``counters`` is the number of the counter's
-    values; None is all of its bits. ``data_ids`` is the number of data ids. ``lengths`` are the only lengths
-    of a frame that the definition knows; empty: any.
+    ``bits`` is its width. ``checksum`` and ``counter`` are the places by definition. A negative start counts
+    from the end of the frame. With None, the database states the place. ``counters`` is the number of values
+    of the counter; None means all values of its bits. ``data_ids`` is the number of data ids. ``lengths``
+    holds the allowed frame lengths; an empty list allows every length.
     """
 
     function: str
@@ -218,11 +218,11 @@ _BODIES = {
         "    return crc16(crc16(value, frame->data_id & 0xFFu), frame->data_id >> 8);",
     ),
 }
-"""C function -> functions that it calls, its variables, and its statements."""
+"""By C function: the functions that it calls, its variables, and its statements."""
 
 
 def check_source(names: set[str]) -> str:
-    """C text of the checksums ``names`` (keys of PROTECTIONS), each of a frame. Empty for none."""
+    """C functions that compute the checksums ``names`` (keys of PROTECTIONS); empty without names."""
     functions = sorted({PROTECTIONS[name].function for name in names})
     if not functions:
         return ""

@@ -1,6 +1,6 @@
-"""Raw CAN frames as text tables: python-can, SavvyCAN and GVRET, Cabana, CSS Electronics and their kin.
+"""Read raw CAN frames from text tables: python-can, SavvyCAN, GVRET, Cabana, CSS Electronics and others.
 
-Columns are found by name. One holds all data bytes, or there is one a byte.
+Columns are found by name. Either one column holds all data bytes, or each byte has its own column.
 """
 
 import ast
@@ -28,12 +28,12 @@ _COLUMNS = {
 }
 _BYTE = re.compile(r"(?:d|b|data_?|byte_?)(\d{1,2})")
 _NUMBERS = re.compile(r"[\[(]\s*\d{1,3}(\s*,\s*\d{1,3})*\s*[\])]")
-"""Data as a list of Python's numbers."""
+"""Data that are written as a Python list of numbers."""
 _BYTES = re.compile(r"""bytearray\((b['"].*['"])\)|(b['"].*['"])""", re.DOTALL)
 """Data as Python prints it."""
 _WITHOUT_UNIT = re.compile(r"_(s|secs?|seconds|ms|us|ns|hex|dec)$")
 _HEXADECIMAL = ("id", "can_id", "canid", "identifier", "arbitration_id")
-"""Names of identifiers that are hexadecimal whatever digits they have."""
+"""Names of identifier columns that are always hexadecimal."""
 
 
 def _low(name: str) -> str:
@@ -52,19 +52,19 @@ def _columns_by_content(names: Sequence[str]) -> dict[str, str]:
 
 
 def _bytes_of(names: Sequence[str]) -> list[str]:
-    """The columns of one byte each, in their order."""
+    """Columns that hold one byte each, in the order of the bytes."""
     numbered = {int(m[1]): n for n in names if (m := _BYTE.fullmatch(n.strip().lower().replace(" ", "_")))}
     return [numbered[k] for k in sorted(numbered)]
 
 
 def is_raw(names: Sequence[str]) -> bool:
-    """Return whether a table of these columns holds raw frames."""
+    """Tell if a table with these columns holds raw frames."""
     by_content = _columns_by_content(names)
     return {"time", "id"} <= by_content.keys() and ("data" in by_content or len(_bytes_of(names)) > 1)
 
 
 def raw_frames(read: TextTable, path: Path) -> Frames:
-    """The frames of a table of text. InputError names the line that is none."""
+    """Read the frames of a text table; InputError names a line that is not a frame."""
     table = read.table
     by_content = _columns_by_content(table.column_names)
     columns = {kind: table.column(name).to_pylist() for kind, name in by_content.items()}
@@ -139,7 +139,7 @@ def _seconds(first: str, name: str, one_a_byte: bool) -> float:
 
 
 def _base_of_bytes(columns: list[list[str | None]]) -> int:
-    """The base of bytes in a column each, or in one: hexadecimal ones have letters, or all two digits."""
+    """Base of the data bytes: 16 if a byte has a letter or if all bytes have two digits."""
     texts = {text.strip() for column in columns for text in column if text}
     if len(columns) == 1:
         return 10 if all(map(_NUMBERS.fullmatch, texts)) else 16
@@ -156,7 +156,7 @@ def _base_of_ids(texts: list[str | None], name: str, of_bytes: int) -> int:
 
 
 def _squeezed(text: str | None) -> str:
-    """Text of bytes without 0x, blanks, and marks around and between them; a list of numbers is decimal."""
+    """Digits of the bytes without 0x, blanks and separators; a list of numbers is decimal."""
     text = (text or "").strip()
     if _NUMBERS.fullmatch(text):
         return "".join(f"{int(number):02x}" for number in re.findall(r"\d+", text))
@@ -169,7 +169,7 @@ def _squeezed(text: str | None) -> str:
 
 
 def _is_hexadecimal(texts: list[str | None]) -> bool:
-    """Return whether all cells are bytes in hexadecimal digits; python-can writes the others in base64."""
+    """Tell if all cells are bytes in hexadecimal digits; otherwise python-can wrote them in base64."""
     return all(re.fullmatch(r"([0-9A-Fa-f]{2})*", _squeezed(text)) for text in texts)
 
 

@@ -1,4 +1,4 @@
-"""Magnitudes whose sign stands in a bit of its own, as buses of the VW group have them."""
+"""Find magnitudes with a separate sign bit, as on buses of the VW group."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ if TYPE_CHECKING:  # cantools takes long to import
     from cantools.database.can import Message, Signal
 
 SIGN_BIT = re.compile(r"sign|sgn|vorzeichen|(?:^|_)vz(?:_|$)|direction|richtung")
-"""In the name of a bit that tells the sign of a magnitude beside it."""
+"""Words in the name of a sign bit."""
 _WORDS = re.compile(r"^(sign|sgn|vorzeichen|vz|direction|richtung)$")
 
 
 def sign_bits(message: Message) -> dict[str, str]:
-    """Find the magnitudes of a message and the bits that tell their signs.
+    """Find the magnitudes of a message and their sign bits.
 
     Parameters
     ----------
@@ -27,8 +27,8 @@ def sign_bits(message: Message) -> dict[str, str]:
     Returns
     -------
     dict[str, str]
-        By magnitude the bit of the same name with a word for sign, or of the first words of its name right
-        behind it.
+        Sign bit by magnitude. The bit has the magnitude's name with a word for sign, or it follows the
+        magnitude and has the first words of its name.
     """
     signs: dict[str, str] = {}
     magnitudes = [s for s in message.signals if s.length > 1 and not s.is_signed and float(s.offset) >= 0]
@@ -44,11 +44,11 @@ def sign_bits(message: Message) -> dict[str, str]:
 
 
 def sign_columns(series: dict[str, Series]) -> dict[str, str]:
-    """Find the magnitudes among a table's columns, and the columns of 0 and 1 that tell their signs.
+    """Find the magnitudes among a table's columns, and their sign columns of 0 and 1.
 
     Parameters
     ----------
-    series : dict[str, Series], of one time axis
+    series : dict[str, Series], series with a common time axis
 
     Returns
     -------
@@ -69,7 +69,7 @@ def sign_columns(series: dict[str, Series]) -> dict[str, str]:
 
 
 def _follows(bit: Signal, magnitude: Signal) -> bool:
-    """Return whether a bit comes right behind a little-endian magnitude, or behind one bit more."""
+    """Tell if a bit directly follows a little-endian magnitude, or follows it after one other bit."""
     top = magnitude.start + magnitude.length
     return magnitude.byte_order == "little_endian" and bit.start in (top, top + 1)
 

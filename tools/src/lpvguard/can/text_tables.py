@@ -1,4 +1,4 @@
-"""Text tables as loggers write them: delimiter, decimal mark, header and row of units are found."""
+"""Read text tables of loggers: find the delimiter, the decimal mark, the header and the row of units."""
 
 import csv
 import io
@@ -18,10 +18,10 @@ from ..base.errors import InputError, InputWarning
 DELIMITERS = ("\t", ";", ",", "|")
 _QUOTED = re.compile(r'"(?:[^"]|"")*"')
 _MARK = re.compile(r"^\s*(#+|%|//|!)\s*")
-"""A mark of a comment in front of a header."""
+"""Mark of a comment before a header."""
 _TIME = re.compile(r"\d{1,2}:\d{2}")
 _BYTE = re.compile(r"(d|data|b|byte)_?\d", re.IGNORECASE)
-"""The last column of a table of raw frames with a column a byte."""
+"""Last column of a table of raw frames that has one column for each byte."""
 _LOOKED_AT = 60
 """Lines at the start of a file that show its form."""
 _COMMENT = re.compile(r"^\s*(#(?!\w*,)|#(group|datatype|default),|//|%\s|!)")
@@ -36,7 +36,7 @@ _MARKED_NUMBERS = (
 )
 """Numbers with an exponent of Fortran, and in further quotes or brackets, and the same without."""
 _MOST_ROWS_OF_WORDS = 4
-"""Rows below a header that may state units, sources and rates."""
+"""Number of rows below a header that may state units, sources and rates."""
 _MISSING = ("", "NA", "N/A", "NaN", "nan", "NAN", "null", "NULL", "None", "-", "--", "-nan", "#N/A", "n/a")
 STRAY = 0.02
 """At most this share of a column's cells, or of the lines, may be no number, or have other columns."""
@@ -46,8 +46,10 @@ MIXED = 0.8
 
 @dataclass(frozen=True)
 class TextTable:
-    """A table as text says it: columns, line of the first row, and unit by column where the table states it.
-    ``comma``: numbers have a decimal comma."""
+    """Text table: columns, line of the first row, and unit by column if the table states units.
+
+    ``comma`` tells that numbers have a decimal comma.
+    """
 
     table: pa.Table
     first_line: int
@@ -56,10 +58,10 @@ class TextTable:
 
 
 def read_text_table(data: bytes, path: Path) -> TextTable:
-    """Read a table of one header line, and of a row of units where there is one; every cell as text.
+    """Read a table with one header line and an optional row of units; every cell is a text.
 
-    Lines before the header and comments are skipped, unless a comment is the header. InputError where no
-    header is found, or where more than STRAY of the lines do not fit it.
+    Lines before the header and comments are skipped, unless a comment is the header. Raises InputError if
+    there is no header, or if a share of more than STRAY of the lines does not fit the header.
     """
     lines = _unquoted(decoded(data, path).replace("\u2212", "-").splitlines())
     first = next((k for k, line in enumerate(lines) if line.strip() and not _COMMENT.match(line)), None)
@@ -84,7 +86,7 @@ def read_text_table(data: bytes, path: Path) -> TextTable:
 
 
 def decoded(data: bytes, path: Path) -> str:
-    """Decode the text of a file in UTF-8, UTF-16, or else Windows' code page.
+    """Decode the text of a file: UTF-8, UTF-16, otherwise the code page of Windows.
 
     Parameters
     ----------
@@ -98,7 +100,7 @@ def decoded(data: bytes, path: Path) -> str:
     Raises
     ------
     InputError
-        If it holds null bytes, as no text does.
+        If the file holds null bytes, because then it is not a text.
     """
     if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
         return data.decode("utf-16", errors="replace")
@@ -114,7 +116,7 @@ def decoded(data: bytes, path: Path) -> str:
 
 
 def _unquoted(lines: list[str]) -> list[str]:
-    """The lines; those that a spreadsheet wrote as one quoted cell each without these quotes."""
+    """Lines without the quotes that a spreadsheet puts around a whole line."""
     inside = [line[1:-1].replace('""', '"') if _QUOTED.fullmatch(line) else line for line in lines]
     quoted = sum(a is not b and "," in a for a, b in zip(inside, lines, strict=True))
     return inside if quoted > 0.5 * len(lines) else lines
@@ -127,7 +129,7 @@ def _cells(line: str, delimiter: str) -> list[str]:
 
 
 def _apart(names: list[str], path: Path, header: int) -> list[str]:
-    """The names, with a number behind those that stand twice or more."""
+    """Append a number to each repeated name."""
     if "" in names and len(names) > 1:
         names = [name or f"column {k + 1}" for k, name in enumerate(names)] if names.count("") > 1 else names
     seen: Counter[str] = Counter()
@@ -146,7 +148,7 @@ def _apart(names: list[str], path: Path, header: int) -> list[str]:
 
 
 def _units_of_cells(names: list[str]) -> tuple[list[str], dict[str, str]]:
-    """Names and units of a header whose cells are "NAME"|"UNIT"|..., as RaceCapture writes them."""
+    """Names and units of a RaceCapture header, whose cells are "NAME"|"UNIT"|..."""
     parts = [[part.strip('" ') for part in name.split("|")] for name in names]
     if any(len(part) < 3 for part in parts):
         return names, {}
@@ -154,7 +156,7 @@ def _units_of_cells(names: list[str]) -> tuple[list[str], dict[str, str]]:
 
 
 def _below(lines: list[str], row: int, delimiter: str) -> tuple[int, list[str]]:
-    """First row of numbers below a header, and the cells of the row of units, where one stands above it."""
+    """First row of numbers below a header, and the cells of the row of units (empty without one)."""
     units: list[str] = []
     passed = row
     for _ in range(_MOST_ROWS_OF_WORDS):
@@ -170,7 +172,7 @@ def _below(lines: list[str], row: int, delimiter: str) -> tuple[int, list[str]]:
 
 
 def _form(lines: list[str], first: int) -> tuple[str, int] | None:
-    """Delimiter and line of the header, which is the first line of words with as many cells as most lines."""
+    """Find the delimiter and the header: the first line of words with as many cells as most lines."""
     best: tuple[float, str, int] | None = None
     for delimiter in (*DELIMITERS, " "):
         looked = [_cells(_MARK.sub("", line), delimiter) for line in lines[first : first + _LOOKED_AT]]
@@ -191,7 +193,7 @@ def _form(lines: list[str], first: int) -> tuple[str, int] | None:
 
 
 def _header(looked: list[list[str]], agree: list[int], short: list[int]) -> int | None:
-    """Line of the header: the first of several lines of words, those with the most rows of numbers below."""
+    """Line of the header: among the lines of words, the first one with the most rows of numbers below."""
     words = {k for k in (*agree, *short) if _words(looked[k]) and not any(map(_TIME.search, looked[k]))}
     rows: dict[int, int] = {}
     header = None
@@ -208,13 +210,13 @@ def _header(looked: list[list[str]], agree: list[int], short: list[int]) -> int 
 
 
 def _words(cells: list[str]) -> bool:
-    """Return whether a line is a header: words, none of them a number."""
+    """Tell if a line is a header: it has words and no number."""
     named = [cell.strip() for cell in cells if cell.strip()]
     return bool(named) and not any(_NUMBER.fullmatch(cell) for cell in named)
 
 
 def _decimal_commas(body: list[str], delimiter: str) -> bool:
-    """Return whether numbers are written with a comma."""
+    """Tell if numbers have a decimal comma."""
     if delimiter == "," and not any('"' in line for line in body):
         return False
     cells = [cell.strip() for line in body for cell in _cells(line, delimiter)]
@@ -225,7 +227,7 @@ def _decimal_commas(body: list[str], delimiter: str) -> bool:
 
 
 def _parsed(body: list[str], names: list[str], delimiter: str, path: Path, rows: int) -> pa.Table:
-    """All cells as text; lines with other columns are left out, and more than STRAY of them refused."""
+    """Read all cells as text; leave out lines with a wrong number of cells, up to a share of STRAY."""
     columns = len(names)
     if delimiter == " ":
         body, delimiter = ["\t".join(line.split()) for line in body], "\t"
@@ -263,9 +265,9 @@ def _parsed(body: list[str], names: list[str], delimiter: str, path: Path, rows:
 
 
 def with_numbers(read: TextTable, path: Path) -> TextTable:
-    """The table with numbers in the columns that hold them; a stray cell that is none counts as missing.
+    """Convert the columns of numbers to numbers; a single cell without a number counts as missing.
 
-    A unit that stands behind every number of a column is its unit.
+    If a unit follows every number of a column, it is the unit of the column.
     """
     columns, units = {}, dict(read.units)
     for name in read.table.column_names:
@@ -310,7 +312,7 @@ def _numbers(trimmed: pa.StringArray, has_unit: bool, comma: bool, path: Path, n
 
 
 def _unit_of_cells(text: pa.StringArray) -> str:
-    """The unit that stands behind the number of every cell, as in 12.5 km/h; "" where none does."""
+    """Unit that follows the number of every cell, for example 12.5 km/h; "" without such a unit."""
     first = next((cell for cell in text[:_LOOKED_AT].to_pylist() if cell), "")
     match = re.match(_WITH_UNIT, first)
     if match is None or not match["unit"][0].isprintable():
@@ -321,7 +323,7 @@ def _unit_of_cells(text: pa.StringArray) -> str:
 
 
 def _ungrouped(text: pa.StringArray, comma: bool) -> pa.StringArray:
-    """Numbers with a decimal point and without signs between their thousands."""
+    """Rewrite numbers with a decimal point and without separators of thousands."""
     for sign in (("." if comma else ","), "'", "\u2019", " ", "\u00a0", "\u202f"):
         if not (pc.any(pc.match_substring(text, sign)).as_py() or False):
             continue

@@ -1,4 +1,4 @@
-"""The time column of a table, by name and shape: s, ms, us, ns, since an epoch, or a date and time."""
+"""Find a table's time column by its name and values: s, ms, us, ns, since an epoch, or date and time."""
 
 import re
 import warnings
@@ -30,16 +30,16 @@ _NAMES = (
 )
 _SECONDS, _NANOSECONDS = r"(^|_)(secs?|seconds)$", r"(^|_)(nsecs?|nanosecs?|nanoseconds)$"
 _EPOCH_S = (9.0e8, 4.0e9)
-"""Seconds since 1970 of the years 1998 to 2096."""
+"""Range of seconds since 1970 for the years 1998 to 2096."""
 _STEP_S = (2e-4, 0.6)
-"""Steps from sample to sample of a log of driving."""
+"""Range of the steps [s] from sample to sample of a driving log."""
 _LATEST_S = 9_000_000_000
 _DAYS = ((3.0e4, 6.0e4, 25_569), (7.0e5, 8.0e5, 719_529))
-"""Days of the years 1982 to 2064 as spreadsheets and as MATLAB count them, and 1970 in these counts."""
+"""Day counts of spreadsheets and of MATLAB: the range for the years 1982 to 2064, and the count of 1970."""
 _LEAP = 39.0
-"""Digits of a clock leap by more than this from minute to minute."""
+"""Digits of a clock jump by more than this value from minute to minute."""
 _BACK = 0.2
-"""If more of the steps from row to row go back, a column is no time."""
+"""Largest share of steps between rows that may go back in a time column."""
 _MONTHS = ("jan", "feb", "m[aä]r", "apr", "ma[iy]", "jun", "jul", "aug", "sep", "o[ck]t", "nov", "de[cz]")
 _DATE = (
     r"(?P<y>\d{4})([-/.]?)(?P<m>\d{2})\2(?P<d>\d{2})|"
@@ -63,10 +63,11 @@ _OF_LOGGER = re.compile(r"(?:\d{2})?(\d{2})?T(\d{2})(\d{2})(\d{2})(\d+)")
 def time_of(
     table: pa.Table, units: Mapping[str, str], path: Path, first_line: int, named: str | None
 ) -> tuple[np.ndarray, np.ndarray, set[str]]:
-    """Times (K,) [ns] of a table's rows, which rows have one (N,) bool, and the columns of the time.
+    """Times (K,) [ns] of the rows, mask (N,) of the rows with a time, and names of the time columns.
 
-    ``named``: the column that the user named. ``units``: unit by column, where the log states one. InputError
-    where no column is the time, its unit cannot be told, or more than STRAY of the rows have none.
+    ``named`` is the column that the user named. ``units`` holds the unit by column if the log states units.
+    Raises InputError if there is no time column, if its unit is unknown, or if too many rows (STRAY) have no
+    time.
     """
     names = table.column_names
     if named is None and (pair := _pair(names)):
@@ -117,7 +118,7 @@ def time_of(
 
 
 def _growing(t_ns: np.ndarray, path: Path, column: str) -> np.ndarray:
-    """The times. InputError where they do not grow from row to row, as steps and texts without seconds do."""
+    """Return the times; raise InputError if they do not increase from row to row."""
     step = np.diff(t_ns)
     if len(step) > 2 and (np.mean(step < 0) > _BACK or not (step > 0).any()):
         what = f"{np.mean(step < 0):.0%} of its steps go back" if (step < 0).any() else "it never grows"
@@ -127,7 +128,7 @@ def _growing(t_ns: np.ndarray, path: Path, column: str) -> np.ndarray:
 
 
 def _since_1970(t: np.ndarray, path: Path, column: str) -> tuple[np.ndarray, str] | None:
-    """Times [s] of days as spreadsheets and MATLAB count them; None where they are none."""
+    """Convert the day counts of spreadsheets and MATLAB to times [s]; None for other values."""
     known = t[np.isfinite(t)]
     size, step = (float(np.median(np.abs(x))) if len(x) else 0.0 for x in (known, np.diff(known)))
     for least, most, epoch in _DAYS:
@@ -139,9 +140,10 @@ def _since_1970(t: np.ndarray, path: Path, column: str) -> tuple[np.ndarray, str
 
 
 def _of_clock(t: np.ndarray, path: Path, column: str) -> tuple[np.ndarray, str] | None:
-    """Times [s] of a clock's digits, as 125959.98 for 12:59:59.98; None where they are none.
+    """Convert the digits of a clock, 125959.98 for 12:59:59.98, to times [s]; None for other values.
 
-    Within a minute both are the same. From minute to minute the digits leap by 40 s more.
+    Within a minute, digits and seconds increase equally. From minute to minute, the digits increase by 40
+    more.
     """
     for scale in (1.0, 1e-3):
         digits = t[np.isfinite(t)] * scale
@@ -163,13 +165,13 @@ def _of_clock(t: np.ndarray, path: Path, column: str) -> tuple[np.ndarray, str] 
 
 
 def _seconds_of_day(digits: np.ndarray) -> np.ndarray:
-    """Times [s] of HHMMSS; midnight begins another day."""
+    """Convert HHMMSS to times [s]; a new day begins at midnight."""
     read = digits // 10_000 * 3600 + digits // 100 % 100 * 60 + digits % 100
     return read + 86_400 * np.cumsum(np.diff(read, prepend=read[0]) < -12 * 3600)
 
 
 def _is_clock(table: pa.Table, name: str) -> bool:
-    """Return whether a text column begins with a time of day."""
+    """Tell if a text column begins with a time of day."""
     return (
         _TIME_OF_DAY.fullmatch(next((t.strip() for t in table.column(name).to_pylist() if t), "")) is not None
     )
@@ -178,7 +180,7 @@ def _is_clock(table: pa.Table, name: str) -> bool:
 def _usable(
     bad: np.ndarray, t: Sequence[object] | np.ndarray, path: Path, column: str, first_line: int
 ) -> np.ndarray:
-    """Rows (N,) bool that have a time. InputError where more than STRAY of them have none."""
+    """Mask (N,) of the rows with a time; raise InputError if a share of more than STRAY has none."""
     at = np.flatnonzero(bad)
     if len(at) == 0:
         return ~bad
@@ -209,13 +211,13 @@ def _plain(table: pa.Table, column: str) -> np.ndarray:
 
 
 def _low(name: str) -> str:
-    """A name without brackets, in lower case, its words joined by _."""
+    """Name in lower case, without brackets, with words joined by _."""
     plain = re.sub(r"[\[({].*?[\])}]", "", name)
     return re.sub(r"[\W_]+", "_", re.sub(r"([a-z])([A-Z])", r"\1_\2", plain).lower()).strip("_")
 
 
 def _pair(names: list[str]) -> tuple[str, str] | None:
-    """Columns of seconds and nanoseconds, as ROS writes a stamp."""
+    """Columns of seconds and nanoseconds of a ROS time stamp."""
     low = {name: _low(name) for name in names}
     for name in names:
         if re.search(_SECONDS, low[name]) and not re.search(_NANOSECONDS, low[name]):
@@ -227,7 +229,7 @@ def _pair(names: list[str]) -> tuple[str, str] | None:
 
 
 def _by_name(table: pa.Table) -> str | None:
-    """The column that is called the time; of several one that grows."""
+    """Column with a name for time; if there are several, one whose values increase."""
     names = table.column_names
     without_unit = {n: "_".join(w for w in _low(n).split("_") if w not in _UNIT_OF) for n in names}
     for pattern in _NAMES:
@@ -282,7 +284,7 @@ def unit_of_time(name: str, units: Mapping[str, str]) -> str | None:
 
 
 def _by_shape(t: np.ndarray, path: Path, column: str) -> str:
-    """The unit of times whose name says none: since an epoch by their size, others by their step."""
+    """Unit of times without a stated unit: found from the size of epoch times, otherwise from the step."""
     t = t[np.isfinite(t)]
     if len(t) < 3:
         return "s"
@@ -337,7 +339,7 @@ def times_of_texts(texts: list[str | None]) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _parsed(text: str) -> tuple[int, bool]:
-    """Time [ns] of a text, without a zone as if in UTC, and whether it is one of day; ValueError for none."""
+    """Time [ns] of a text (UTC without a zone), and if it is a time of day; ValueError without a time."""
     text = text.strip()
     if match := _TIME_OF_DAY.fullmatch(text):
         days, *clock = match.groups()

@@ -1,6 +1,7 @@
-"""A folder of one recording with a table for each topic, as rosbag exports and data loggers write.
+"""Read a folder of one recording with a table for each topic, as rosbag exports and data loggers write.
 
-The tables have other columns each, and one clock. A column is called TOPIC.column: TOPIC is its file's name.
+The tables have different columns and a common clock. A column is called TOPIC.column, with TOPIC from the
+name of its file.
 """
 
 import re
@@ -13,15 +14,15 @@ from .log_types import Series, Table
 
 _SUFFIXES = {".csv", ".tsv", ".txt", ".parquet"}
 _HEAD = 1 << 16
-"""Number of bytes at the start of a table that show its columns."""
+"""Number of bytes at the start of a table from which its columns are read."""
 _COMMON = 0.5
-"""Recordings of one logger share more than this part of their columns, topics less."""
+"""Tables that share a larger part of their columns are recordings of one logger, not topics."""
 _OF_EVERY_TOPIC = re.compile(r"(^|_)(t|time|timestamp|stamp|secs?|nsecs?|nanosec|seq|frame_id|header)(_|$)")
-"""In names of columns that many topics have."""
+"""Words in the names of columns that many topics have."""
 
 
 def topic_files(folder: Path) -> list[Path]:
-    """List the tables of a folder that holds one recording, a table for each topic.
+    """List the tables of a folder that holds one recording with a table for each topic.
 
     Parameters
     ----------
@@ -29,7 +30,7 @@ def topic_files(folder: Path) -> list[Path]:
 
     Returns
     -------
-    list[Path], empty where it is none: fewer than two tables, other files, or tables with the same columns
+    list[Path], empty for another folder: fewer than two tables, other files, or equal columns
     """
     inside = sorted(p for p in folder.iterdir() if not p.name.startswith(".")) if folder.is_dir() else []
     files = [p for p in inside if p.suffix.lower() in _SUFFIXES]
@@ -42,7 +43,7 @@ def topic_files(folder: Path) -> list[Path]:
 
 
 def _columns(path: Path) -> set[str]:
-    """Names of a table's columns without those of every topic; empty where it is no table of signals."""
+    """Names of a table's columns without the usual ones; empty if the file is not a table of signals."""
     import pyarrow.parquet as pa_parquet
 
     from .raw_tables import is_raw
@@ -70,11 +71,11 @@ def joined(folder: Path, topics: dict[str, Table]) -> Table:
     Parameters
     ----------
     folder : Path, named in errors
-    topics : dict[str, Table], by topic
+    topics : dict[str, Table], table by topic
 
     Returns
     -------
-    Table, of series TOPIC.column
+    Table, with the series TOPIC.column
 
     Raises
     ------

@@ -1,7 +1,7 @@
-"""Traces with the suffix .trc: PCAN 1.0 to 2.1 and CANHacker 2 and 3.
+"""Read traces with the suffix .trc: PCAN 1.0 to 2.1 and CANHacker 2 and 3.
 
-PCAN writes times in ms from a start that its head states; CANHacker writes seconds. A length that is not
-that of the bytes is refused by line.
+PCAN writes times in ms from a start in its header. CANHacker writes seconds. A line is refused if its length
+differs from the number of its bytes.
 """
 
 import re
@@ -11,13 +11,13 @@ from ..base.errors import InputError
 from .log_types import Frames, frames_of_rows, row_of
 
 _COLUMNS = {"1.0": "NOILD", "1.1": "NOTIlD", "1.2": "NOBTIlD", "1.3": "NOBTIRlD"}
-"""By version of PCAN: columns in version 2's letters: number, offset, bus, type, identifier, length, data."""
+"""Columns by version of PCAN, in the letters of version 2."""
 _DATA = frozenset(("", "Rx", "Tx", "DT", "FD", "FB", "FE", "BI"))
-"""Types of a line that is a data frame."""
+"""Line types that are data frames."""
 _FD_LENGTHS = (12, 16, 20, 24, 32, 48, 64)
-"""Bytes of the length codes from 9 on."""
+"""Number of bytes for the length codes from 9 on."""
 _DAYS_TO_1970 = 25569
-"""PCAN counts the days from 1899-12-30."""
+"""Start of the day count of PCAN, 1899-12-30."""
 _CANHACKER = re.compile(
     r"\s*(?P<O>\d+[.,]\d+)\s+(?:(?P<B>\d+)\s+(?P<flags>[0-9A-Fa-f]{4,8})\s+(?=[0-9A-Fa-f]{3,8}\s+\d{1,2}\s))?"
     r"(?P<I>[0-9A-Fa-f]{3,8})\s+(?P<l>\d{1,2})(?:\s+(?P<D>RTR.*|(?:[0-9A-Fa-f]{2}(?:\s+|$))*))?.*"
@@ -40,7 +40,7 @@ def read_trc(path: Path, text: str) -> Frames:
     Raises
     ------
     InputError
-        If a line is no frame, or its length is not that of its bytes.
+        If a line is not a frame, or if its length differs from the number of its bytes.
     """
     rows: list[_Row] = []
     left_out = {"error reports": 0, "remote frames": 0}
@@ -85,7 +85,7 @@ def _number(text: str, path: Path, number: int) -> float:
 
 
 def _pcan(line: str, columns: str, start_s: float) -> tuple[str, _Row | None]:
-    """Kind of a line, and its row where it is a data frame."""
+    """Kind of a line, and its row if the line is a data frame."""
     cells = dict(zip(columns, line.split(maxsplit=len(columns) - 1), strict=False))
     kind = cells.get("T", "")
     data = cells.get("D", "")
@@ -120,7 +120,7 @@ def _canhacker(line: str) -> tuple[str, _Row | None]:
 
 
 def _row(time_s: float, identifier: str, channel: str, length: int, data: str) -> _Row:
-    """The row of one frame, as ``row_of`` makes it. ValueError where length and bytes disagree."""
+    """Make the row of one frame with `row_of`; raise ValueError if length and bytes disagree."""
     payload = bytes.fromhex(data)
     if len(payload) != length:
         raise ValueError(f"{len(payload)} bytes, where its length says {length}")

@@ -1,4 +1,4 @@
-"""VBOX's .vbo: sections of text. Its times are digits of a clock, which ``time_columns`` reads."""
+"""Read VBOX's .vbo files, which have sections of text; `time_columns` reads their clock times."""
 
 import re
 from dataclasses import replace
@@ -9,7 +9,7 @@ from .text_tables import TextTable, decoded, read_text_table
 
 _SECTION = re.compile(r"\s*\[([^\]]+)\]\s*")
 _UNIT = re.compile(r".*\s(kmh|km/h|mph|knots|m/s|g|deg|deg/s)", re.IGNORECASE)
-"""A channel in the head, with its unit as its last word."""
+"""Channel in the header, with its unit as the last word."""
 
 
 def read_vbo(data: bytes, path: Path) -> TextTable:
@@ -27,7 +27,7 @@ def read_vbo(data: bytes, path: Path) -> TextTable:
     Raises
     ------
     InputError
-        If a section is missing, or rows do not fit the columns.
+        If a section is missing, or if the rows do not fit the columns.
     """
     sections: dict[str, list[str]] = {}
     now, first_line = "", 1
@@ -46,7 +46,7 @@ def read_vbo(data: bytes, path: Path) -> TextTable:
     of_head = [(m[1] if (m := _UNIT.fullmatch(x)) else "") for x in sections.get("header", [])]
     units = dict(zip(names, of_head, strict=False)) if len(of_head) == len(names) else {}
     units.setdefault("velocity", "km/h")
-    stated = sections.get("channel units", [])  # of all channels, or of those behind the standard ones
+    stated = sections.get("channel units", [])  # of all channels, or of those after the standard ones
     if len(stated) <= len(names):
         units |= {
             n: u for n, u in zip(reversed(names), reversed(stated), strict=False) if u.strip("()") != "null"

@@ -1,7 +1,7 @@
 """From an identification to a certified controller (paper, step 8).
 
-In: a stored identification, and drives for exact results. Out: controller.json with its certificates, Table
-II, the numbers of Figs. 5 and 6, trade-offs.
+The input is a stored identification; exact results also need its drives. The output is controller.json with
+its certificates, Table II, the numbers of Figs. 5 and 6, and trade-offs.
 """
 
 MAY_IMPORT = ("base", "vehicle", "engine", "drives", "core", "identify")

@@ -26,7 +26,7 @@ def export_chosen(
     target : Path, new folder
     controller : Path, optional, controller.json or folder of `design`
         Its certificates are proved again.
-    group : str, optional, group whose thresholds the core carries, by default the largest of all
+    group : str, optional, group of drives whose thresholds are exported, default the largest of all groups
     progress : Callable, reports progress
     workers : Map, shares the speeds
 
@@ -37,7 +37,7 @@ def export_chosen(
     Raises
     ------
     InputError
-        If a certificate fails, or no drive is of the group.
+        If a certificate fails, or if the group has no drive.
     """
     chosen = stored if group is None else stored.of_group(group)
     path = controller / "controller.json" if controller is not None and controller.is_dir() else controller

@@ -1,5 +1,4 @@
-"""A controller.json read back: the present controller, its identification, its scaling, and mu with a fault
-in the loop."""
+"""Read a controller.json: controller, identification, scaling, and mu with a fault in the loop."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -48,9 +47,9 @@ class PresentController:
 
     @classmethod
     def from_path(cls, path: Path, stored: StoredIdentification) -> "PresentController":
-        """Read a controller.json, or that of a folder, for another identification of its vehicle.
+        """Read a controller.json, or a folder's controller.json, for another identification of its vehicle.
 
-        Raises InputError if it cannot be read, was altered, or is of another vehicle or structure.
+        Raises InputError if the file cannot be read, was altered, or belongs to another vehicle or structure.
         """
         path = path / "controller.json" if path.is_dir() else path
         document = artefacts.read_json(path)
@@ -97,7 +96,7 @@ def require_designed_for(stored: StoredIdentification, controller: Path) -> dict
     Raises
     ------
     InputError
-        If it cannot be read, or was designed for another identification.
+        If the file cannot be read, or if the controller was designed for another identification.
     """
     document = read_controller(controller)
     if artefacts.read_manifest(controller.parent, "design")["identification"] != stored.manifest:
@@ -111,9 +110,9 @@ def require_designed_for(stored: StoredIdentification, controller: Path) -> dict
 
 
 def require_exported_with(controller: Path, vehicle: Path) -> None:
-    """Require that a generated folder was exported with a controller.json, byte for byte.
+    """Require that a generated folder was exported with exactly this controller.json.
 
-    Its certificates are then those that `export` proved for the folder's coefficients.
+    `export` has then proved the file's certificates for the folder's coefficients.
 
     Parameters
     ----------
@@ -123,7 +122,7 @@ def require_exported_with(controller: Path, vehicle: Path) -> None:
     Raises
     ------
     InputError
-        If it was not.
+        If the folder was exported with another file or none.
     """
     exported = artefacts.read_manifest(vehicle, "vehicle").get("controller", {}).get("sha256")
     if exported != artefacts.file_hash(controller):

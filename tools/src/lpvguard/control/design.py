@@ -1,16 +1,16 @@
 """`lpvguard design`: a controller scheduled over speed, certified at every node and between nodes (step 8).
 
 Everything is discrete from the start: the vehicle is sampled exactly at Ts, the weights by Tustin's map
-(plants.py). One sample of delay stands between the controller's output and the vehicle, so that the ECU may
-take a whole period to compute. The delay then belongs to the controller, which makes it strictly proper.
+(plants.py). One sample of delay follows the controller's output, so that the ECU may compute for a whole
+period. The delay is part of the controller, which is therefore strictly proper.
 
 One scaling D and one level serve all speeds, so that neighbouring controllers differ little
-(engine/synthesis/scheduling.py). D-K iteration at the design speed gives the first D; the best for the worst
-speed replaces it. The controllers are reduced to as few common poles as possible, with numerators
-interpolated over speed (schedule.py). The certified controller is that of the core: float32 coefficients,
-interpolated. It is closed with the nominal model and the weights. Frozen speeds are certified by mu: the
-nodes and midway between them. Storage functions certify robust stability and robust performance, each for
-every speed history up to a stated rate of change (engine/synthesis/lpv_certificate.py).
+(engine/synthesis/scheduling.py). D-K iteration at the design speed gives the first D. A search then minimises
+the level of the worst speed. The controllers are reduced to as few common poles as possible, with numerators
+interpolated over speed (schedule.py). The certificates are about the controller of the core, with
+interpolated float32 coefficients, in a loop with the nominal model and the weights. Mu certifies frozen
+speeds: the nodes and the midpoints between them. Storage functions certify robust stability and robust
+performance, each for every speed history up to a stated rate of change (engine/synthesis/lpv_certificate.py).
 """
 
 from collections.abc import Callable
@@ -52,32 +52,32 @@ from .plants import DesignProblem, design_settings, vehicle_at
 from .schedule import FrozenLoop, fit_by_pairs
 
 FEWEST_PAIRS, MOST_PAIRS = 2, 19
-"""Numbers of pole pairs for each demand; fewer than those of vehicle and reference model together do not
-suffice."""
+"""Least and largest number of pole pairs that are tried for each demand. Fewer pairs than those of the
+vehicle and the reference model together are not enough."""
 PATIENCE = 2
-"""Pairs tried beyond the best number so far."""
+"""Number of further pairs that are tried after the best number so far."""
 CERTIFICATE_RTOL = 1e-6
 """Largest relative difference between a stated level and the one proved again."""
 LOWER_RTOL, PEAK_RTOL = 1e-4, 1e-3
-"""The same for the lower bound, which a search finds, and for the gain at the stated peak, which is flat."""
+"""The same for the lower bound and for the gain at the stated peak. A search finds both, so they vary
+more."""
 FLOOR_RTOL = 1e-9
 """Rounding of the DC floor."""
 OFF_GRID = 24
-"""Seeded speeds between the nodes at which the design is checked, in addition to nodes and midpoints."""
+"""Number of random speeds between the nodes at which the design is also checked."""
 DESIGN_SHARES, FROZEN_SHARES, VERIFY_SHARES = (9, 1, 1), (1, 15, 1), (4, 1, 4)
-"""Approximate shares of the work: frozen and moving speed, margins; up to the poles, poles, proofs; frozen
-and
-moving, margins."""
+"""Approximate shares of the work in three progress bars."""
 A_T_RTOL, STEPS = 0.01, 8
 LARGER_STEP = 0.8
-"""Step towards the limit while no A_t has failed: the answer lies near it."""
+"""Step towards the limit of A_t while no A_t has failed, because the largest A_t lies near the limit."""
 FAMILY_RTOL = 0.01
-"""Relative excess of a truncated controller over the level of the family."""
+"""Largest relative excess of a truncated controller's level over the family's level."""
 REACH = 3
-"""Multiple of the crossover that the model error model must reach."""
+"""The model error model must reach this multiple of the crossover frequency."""
 CROSSOVER_FROM, CROSSOVER_POINTS = 1e-3, 2000
 SCALING_SPEEDS = 4
-"""Nodes, ends included, for which the common scaling is searched: the optimum moves slowly with speed."""
+"""Number of nodes, ends included, for which the common scaling is searched. The optimum moves slowly with
+speed."""
 
 
 def _with_delay(K: StateSpace) -> StateSpace:
@@ -96,9 +96,9 @@ class Design:
     scaling : Scaling
     certificates : list of (speed [m/s], RobustPerformance), nodes and midpoints in order
     full_order : int, order before the reduction
-    off_grid : (speed [m/s], RobustPerformance), the worst between these speeds
-    moving : dict, by claim for a moving speed, None: no storage function; empty: not requested
-    further : FurtherCertificates or None, margins, a varying Delta and limits, None: not requested
+    off_grid : (speed [m/s], RobustPerformance), the worst certificate between these speeds
+    moving : dict, certificate by claim about a moving speed (None without a proof), empty if not requested
+    further : FurtherCertificates or None, about margins, a varying Delta and limits; None: not requested
     """
 
     schedule: Scheduled
@@ -124,8 +124,8 @@ def design(
 ) -> Design:
     """Synthesise a controller, schedule it over common poles and certify it.
 
-    A present controller stays where this identification certifies it, or where no better one is found. Its
-    scaling starts the search for another.
+    The present controller is kept if this identification certifies it, or if no better controller is found.
+    Its scaling starts the search for a better one.
 
     Parameters
     ----------
@@ -169,8 +169,8 @@ def design(
 def frozen_optimum(stored: StoredIdentification) -> tuple[float, float]:
     """Compute the largest optimum over single frozen speeds.
 
-    An optimum is the least bound of mu that D-K iteration finds for a single speed, with the certified A_t
-    and A_u. It is computed at some of the nodes.
+    An optimum is the least bound of mu that D-K iteration finds for one speed, with the certified A_t and
+    A_u. Only some of the nodes are searched.
 
     Parameters
     ----------
@@ -191,7 +191,7 @@ def frozen_optimum(stored: StoredIdentification) -> tuple[float, float]:
 
 
 def limit_sentence(stored: StoredIdentification, result: Design) -> str:
-    """State in one sentence why a design is not certified: its largest mu, and the weights that limit it.
+    """Say in one sentence why a design is not certified: its largest mu, and the weights that limit mu.
 
     Parameters
     ----------
@@ -218,7 +218,7 @@ def limit_sentence(stored: StoredIdentification, result: Design) -> str:
 def crossover(schedule: Scheduled, model: NominalModel) -> float:
     """Highest frequency [rad/s] at which the loop gain is 1, over the nodes; 0 without any.
 
-    The loop gain is |sum_j K_j P_j|, of several inputs the spectral radius of K P.
+    The loop gain is |sum_j K_j P_j|. With several inputs it is the spectral radius of K P.
     """
     omega = np.geomspace(CROSSOVER_FROM, np.pi / schedule.Ts * (1 - 1e-9), CROSSOVER_POINTS)
     highest = 0.0
@@ -246,7 +246,7 @@ def _require_reach(stored: StoredIdentification, schedule: Scheduled) -> None:
 def _kept(
     problem: DesignProblem, present: PresentController, progress: Progress, workers: Map
 ) -> Design | None:
-    """The present controller with certificates of this problem; None where the input limits are others."""
+    """Certify the present controller for this problem; None if its input limits differ from the problem's."""
     schedule, order = present.schedule, present.document["certificates"]["full_order"]
     if not _limited_by(schedule, _input_limits(problem, schedule)):
         return None
@@ -259,18 +259,18 @@ def _kept(
 
 
 def _checked_plants(problem: DesignProblem, speeds: np.ndarray) -> dict[float, fig1.GeneralisedPlant]:
-    """Plants at the speeds and midway between them, by speed."""
+    """Plants by speed, at the given speeds and at the midpoints between them."""
     check = np.linspace(speeds[0], speeds[-1], 2 * len(speeds) - 1)
     return {float(v): problem.plant(v) for v in check}
 
 
 def _input_limits(problem: DesignProblem, schedule: Scheduled) -> np.ndarray:
-    """Input limits (G, n_u) of the problem at the speeds of a schedule."""
+    """Input limits (G, n_u) of the problem at the G speeds of a schedule."""
     return input_limit(problem.model, problem.settings, schedule.speeds, problem.weights.controlled)
 
 
 def _limited_by(schedule: Scheduled, limits: np.ndarray) -> bool:
-    """Tell if a schedule has these input limits."""
+    """Tell if a schedule's input limits equal ``limits`` up to rounding."""
     return schedule.u_max.shape == limits.shape and np.allclose(schedule.u_max, limits, rtol=1e-9, atol=0)
 
 
@@ -283,7 +283,7 @@ def _certified(
     progress: Progress,
     workers: Map,
 ) -> Design:
-    """The design with its certificates at frozen speeds, those of ``loops`` and the worst between them."""
+    """Design with its certificates at the frozen speeds of ``loops`` and at the worst speed between them."""
     return Design(
         schedule,
         scaling,
@@ -336,12 +336,12 @@ def _designed(
 def _family(
     plants: list[fig1.GeneralisedPlant], start: Scaling, backoff: float, progress: Progress, workers: Map
 ) -> tuple[Scaling, list[StateSpace]]:
-    """The common scaling, searched from ``start``, and one controller a plant, all in one set of states."""
+    """Search the common scaling from ``start``; make one controller for each plant, in common states."""
     progress(Counted("one scaling for all speeds", 1, 4))
     some = evenly(len(plants), SCALING_SPEEDS)
     scaling, level = common_scaling([plants[k] for k in some], start, workers)
     progress(Counted("controllers over speed", 2, 4))
-    # At most half of the margin below 1.
+    # The backoff may use at most half of the distance from the level to 1.
     backed_off = level * (1 + backoff)
     level = min(backed_off, 0.5 * (1 + level)) if level < 1 else backed_off
     at_order, rank = common_family(plants, scaling, level, workers)
@@ -357,8 +357,9 @@ def _with_fewest_poles(
 ) -> Scheduled | None:
     """Schedule with the fewest pairs of common poles, at most ``most``, or None.
 
-    More pairs lower the worst level by less than ``order_loss`` of it. The result is None where no number of
-    pairs stabilises every speed. ``worst_level`` of a schedule is inf above the given level.
+    More pairs would lower the worst level by a share of less than ``order_loss``. The result is None if no
+    number of pairs stabilises every speed. ``worst_level(schedule, limit)`` returns inf for a level above the
+    limit.
     """
     best, fewest, found_pairs = np.inf, None, 0
     for pairs in range(FEWEST_PAIRS, most + 1):
@@ -382,8 +383,8 @@ def _sound_order(
 ) -> int:
     """Largest order at which every controller of the family keeps ``level``.
 
-    The last states of ``rank`` can be rounding alone, with an unstable loop. Raises InputError where no order
-    keeps the level.
+    The last of the ``rank`` states can be rounding errors that make the loop unstable. Raises InputError if
+    no order keeps the level.
     """
     for order in range(rank, 0, -1):
         loops = zip(plants, at_order(order), strict=True)
@@ -404,7 +405,7 @@ def _worst_level(
 ) -> float:
     """Largest norm of the scaled closed loops.
 
-    It is inf when one loop, or the injection of a limited demand, is unstable, or when one exceeds ``limit``.
+    The result is inf if a loop is unstable or exceeds ``limit``, or if the anti-windup is unstable.
     """
     if not all(schedule.injection_radius(v) < 1 for v in loops):
         return np.inf
@@ -418,7 +419,7 @@ def _worst_level(
 
 
 def _scaled_norm(scaling: Scaling, rtol: float, loop: tuple[fig1.GeneralisedPlant, StateSpace]) -> float:
-    """Norm of the scaled closed loop of a plant and a controller, from above; inf when it is unstable."""
+    """Upper bound of the norm of a plant's scaled closed loop with a controller; inf for an unstable loop."""
     return hinf_norm(closed_scaled(*loop, scaling), rtol).upper
 
 
@@ -429,7 +430,10 @@ def worst_off_grid(
     seed: int,
     workers: Map,
 ) -> tuple[float, RobustPerformance]:
-    """Worst of seeded speeds, moved to the peak between its neighbours, and its certificate."""
+    """Search the worst speed between the nodes; return the speed and its certificate.
+
+    The search takes the worst of random speeds and moves it to the peak between its neighbours.
+    """
     low, high = schedule.speeds[[0, -1]].tolist()
     speeds = np.sort(np.concatenate([[low, high], np.random.default_rng(seed).uniform(low, high, OFF_GRID)]))
     norm = partial(_scaled_norm, scaling, 1e-4)
@@ -444,9 +448,9 @@ def worst_off_grid(
 
 
 def dc_floor(weights: fig1.PlantWeights) -> float:
-    """Lower bound of every controller per unit of A_t: 1 / sqrt(1/|W_nr(0)|^2 + 1/|W_wr(0)|^2).
+    """Lower bound of every controller's mu per unit of A_t: 1 / sqrt(1/|W_nr(0)|^2 + 1/|W_wr(0)|^2).
 
-    It balances noise against disturbance of the controlled output, here r.
+    The bound balances noise against disturbance at the controlled output r.
     """
     n, w = (abs(W[weights.controlled].response([0.0])[0, 0, 0]) for W in (weights.W_n, weights.W_w))
     return float(n * w / np.hypot(n, w))
@@ -459,9 +463,9 @@ class LargestA_t:
     Attributes
     ----------
     A_t : float, per rad/s
-    product : float, A_t times the DC floor, 1 is the limit of any controller
-    worst : float, its largest mu
-    failed : float, least A_t not reached, by the design or by any controller [per rad/s]
+    product : float, A_t times the DC floor; no controller exceeds 1
+    worst : float, largest mu with this A_t
+    failed : float, least A_t that the design, or any controller, did not reach [per rad/s]
     """
 
     A_t: float
@@ -471,7 +475,7 @@ class LargestA_t:
 
 
 def largest_A_t(stored: StoredIdentification, progress: Progress = lambda _: None) -> LargestA_t | None:
-    """Bisect A_t over whole designs, certified in the core's form.
+    """Search the largest A_t by bisection; each step makes and certifies a whole design.
 
     Parameters
     ----------
@@ -480,7 +484,7 @@ def largest_A_t(stored: StoredIdentification, progress: Progress = lambda _: Non
 
     Returns
     -------
-    LargestA_t, or None if half of the DC floor's limit is not reached
+    LargestA_t, or None if the design does not reach half of the DC floor's limit
     """
     problem = DesignProblem.from_identification(stored)
     floor = dc_floor(problem.weights)
@@ -528,10 +532,10 @@ def _certificates(
 def verify(
     path: Path, stored: StoredIdentification, progress: Progress = lambda _: None, workers: Map = map
 ) -> None:
-    """Prove the certificates of a controller.json again for its coefficients and these weights.
+    """Prove the certificates of a controller.json again, with the weights of this identification.
 
-    ``workers`` share the speeds. Raises InputError that names the speed of an unstable loop or a wrong
-    number, or an objective or input limit that differs from the project's.
+    ``workers`` share the speeds. Raises InputError for an unstable loop, for a wrong number, or for an
+    objective or input limit that differs from the project's. The error names the speed.
     """
     present, settings = PresentController.from_path(path, stored), design_settings(stored)
     stated, schedule, scaling = present.document["certificates"], present.schedule, present.scaling
@@ -575,7 +579,7 @@ def _require_settings(
 
 
 def _require_floor(path: Path, stated: dict, floor: float) -> None:
-    """InputError unless the DC floor is ``floor``, and the largest A_t lies within what it leaves."""
+    """Raise InputError unless the stated DC floor is ``floor`` and allows the stated largest A_t."""
     largest = stated["largest_A_t"]
     recomputed = {"dc_floor": (stated["dc_floor"], floor)}
     if largest is not None:
@@ -600,7 +604,7 @@ def _compare(
 ) -> None:
     """Raise InputError unless a row states the proved numbers.
 
-    The peak may be one of several: the scaled gain there must reach mu.
+    A loop can have several equal peaks. At the stated peak the scaled gain must therefore reach mu.
     """
     v = row["v_mps"]
     loop = closed_scaled(plant, schedule.at(v), proved.scaling)

@@ -1,6 +1,6 @@
-"""Files of step 8 besides controller.json: the numbers of Table II and of Figs. 5 and 6, and of a case file.
+"""Write the files of step 8 besides controller.json: numbers of Table II, of Figs. 5 and 6, and of a case.
 
-report/design_pictures.py draws them.
+report/design_pictures.py draws these numbers.
 """
 
 import numpy as np
@@ -25,7 +25,7 @@ def _magnitude(W) -> np.ndarray:
 def _weights_figure(
     common: PlantWeights, objectives: list[tuple[float, float, PlantWeights]], command
 ) -> dict:
-    """Numbers of Fig. 5. ``objectives``: A_t, A_u and the weights with them."""
+    """Numbers of Fig. 5; each entry of ``objectives`` holds A_t, A_u and the weights for them."""
     rows: dict[str, np.ndarray] = {}
     for A_t, A_u, weights in objectives:
         rows[f"W_t, A_t = {A_t:.4g}"], rows[f"W_u, A_u = {A_u:.4g}"] = (
@@ -54,8 +54,8 @@ def design_files(problem: FrozenProblem, cells: list[Cell], runs: WorstRuns | No
     Parameters
     ----------
     problem : FrozenProblem
-    cells : list of Cell, of Table II
-    runs : WorstRuns, or None without drives, which Fig. 6 needs
+    cells : list of Cell, cells of Table II
+    runs : WorstRuns, or None without drives; Fig. 6 needs drives
 
     Returns
     -------
@@ -80,7 +80,7 @@ def design_files(problem: FrozenProblem, cells: list[Cell], runs: WorstRuns | No
 
 
 def case_files(name: str, case: dict, rows: list[TableRow]) -> dict[str, str]:
-    """Write the files of a case file's table, each row with its difference to the paper's.
+    """Write the files of a case's table; each row states its difference from the paper's row.
 
     Parameters
     ----------

@@ -1,5 +1,4 @@
-"""Fig. 1 of a vehicle at a frozen speed, for any structure, objective and uncertainty weights, and Table
-II."""
+"""Control problem of Fig. 1 at a frozen speed, for any structure, objective and weights; Table II."""
 
 from dataclasses import replace
 from functools import cached_property
@@ -19,9 +18,9 @@ from .stored_frames import SplitWeights, StoredFrames
 
 
 def compared(stored: StoredIdentification) -> bool:
-    """Tell whether structures are compared for a vehicle: whether it is of the paper's class.
+    """Tell whether the design compares structures for a vehicle: only for vehicles of the paper's class.
 
-    That class has one Delta, one input and two outputs, which are the first two states.
+    That class has one Delta, one input and two outputs. The two outputs are the first two states.
 
     Parameters
     ----------
@@ -47,7 +46,7 @@ class FrozenProblem:
     Raises
     ------
     InputError
-        If there is no [design] table, or the vehicle is not of the paper's class S1 (`compared`).
+        If there is no [design] table, or if the vehicle is not of the paper's class S1 (`compared`).
     """
 
     def __init__(self, stored: StoredIdentification, frames: StoredFrames):
@@ -70,14 +69,14 @@ class FrozenProblem:
 
     @cached_property
     def with_state(self) -> SplitWeights:
-        """Weights of class S2 at the identified gamma_w and the settings' Lambda_nu = diag(1, lambda_s)."""
+        """Weights of class S2, for the identified gamma_w and the settings' Lambda_nu = diag(1, lambda_s)."""
         split = self.frames.explain_with_state(self.stored.bounds["gamma_w"], self.settings.lambda_s)
         return self.frames.weights(split)
 
     def weights(
         self, structure: str, A_t: float, A_u: float, fitted: SplitWeights | None = None
     ) -> PlantWeights:
-        """The ten weights. ``fitted`` replaces the identified W_w and W_delta (for K_is ``with_state``)."""
+        """Weights of Fig. 1. ``fitted`` replaces the identified W_w and W_delta (K_is: `with_state`)."""
         chosen = self.settings.model_copy(update={"structure": structure, "A_t": A_t, "A_u": A_u})
         # K_is has its own weights, which replace those of class S1 below.
         if structure == "K_is":
@@ -103,7 +102,7 @@ class FrozenProblem:
         return plant_at(self.problem.model, weights, v, True, structure)
 
     def table(self, progress: Progress = lambda _: None) -> list[Cell]:
-        """Table II at the design speed: the three structures for each objective."""
+        """Compute Table II at the design speed: the three structures for each objective."""
         cells: list[Cell] = []
         most = len(self.settings.objectives) * len(STRUCTURES)
         for A_t, A_u in self.settings.objectives:
@@ -117,7 +116,7 @@ class FrozenProblem:
 
 
 def table_files(rows: list[dict], **about) -> dict[str, str]:
-    """table2.json and table2.csv from the rows of cells; ``about`` identifies the table."""
+    """Make table2.json and table2.csv from the table's rows; ``about`` holds further JSON fields."""
     return {
         "table2.json": artefacts.to_json({"kind": "table2", "schema": 1, **about, "rows": rows}),
         "table2.csv": to_csv(rows),

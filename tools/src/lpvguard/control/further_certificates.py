@@ -1,5 +1,4 @@
-"""Further certificates of a design besides mu and the moving speed: margins, a varying Delta, demand
-limits."""
+"""Certificates of a design besides mu and the moving speed: margins, a varying Delta, and demand limits."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -35,7 +34,7 @@ class FurtherCertificates:
 
 
 NOTHING = {"robustness": None, "slow_delta": None, "limits": None}
-"""The same fields for a design without them."""
+"""The same fields for a design without further certificates."""
 
 
 def further_certificates(
@@ -45,7 +44,7 @@ def further_certificates(
     progress: Progress = lambda _: None,
     workers: Map = map,
 ) -> FurtherCertificates:
-    """Further certificates of one controller; ``workers`` share the speeds."""
+    """Compute the further certificates of one controller; ``workers`` share the speeds."""
     tells = parts(progress, *SHARES)
     design = problem, schedule, scaling
     return FurtherCertificates(
@@ -64,8 +63,10 @@ def require_further_certificates(
     progress: Progress = lambda _: None,
     workers: Map = map,
 ) -> None:
-    """Raise InputError unless the certificates ``stated`` in ``path`` are proved or computed again. A field
-    that is missing or None claims nothing. ``workers`` share the speeds."""
+    """Raise InputError unless a new proof confirms the certificates ``stated`` in ``path``.
+
+    A field that is missing or None claims nothing. ``workers`` share the speeds.
+    """
     tells = parts(progress, *SHARES)
     design = problem, schedule, scaling
     require_robustness(path, stated.get("robustness"), *design, tells[0], workers)

@@ -1,4 +1,4 @@
-"""Limit of a design: signals in the worst vectors of the scaled loop at its peak, and their weights."""
+"""Find what limits a design: the signals in the worst vectors of the scaled loop at the peak of mu."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from ..engine.synthesis.interconnection import GeneralisedPlant
 from ..engine.synthesis.statespace import StateSpace, lft, prewarped
 
 LARGE = 0.1
-"""Least share that a sentence names."""
+"""Smallest share that the sentence names."""
 WHOLE = {
     "r_c": "the command (W_C)",
     "z_t": "the tracking error (W_t)",
@@ -19,14 +19,14 @@ WHOLE = {
     "xi_s": "the state uncertainty (W_delta_s)",
     "z_u": "the control effort (W_u)",
 }
-"""Carriers by the beginning of a signal's name; the digits of further inputs and states do not count."""
+"""Name of a signal's weight by the beginning of the signal's name, without the digits of further signals."""
 OF_OUTPUT = {"w": "the disturbance (W_w)", "n": "the noise (W_n)", "xi": "the uncertainty (W_delta)"}
-"""Carriers of one output by what stands before its name."""
+"""Name of a weight of one output by the prefix of the signal's name."""
 
 
 @dataclass(frozen=True)
 class Limiting:
-    """Peak of mu at one speed and shares of the signals in it.
+    """Peak of mu at one speed, and the share of each signal in the peak.
 
     Attributes
     ----------
@@ -40,7 +40,7 @@ class Limiting:
 
     @classmethod
     def at_peak(cls, plant: GeneralisedPlant, controller: StateSpace, proved: RobustPerformance) -> Limiting:
-        """Peak of the loop of ``plant`` and ``controller`` with its certificate."""
+        """Compute the shares at the peak of a certified loop of ``plant`` and ``controller``."""
         frequency = proved.bracket.peak_frequency
         loop = lft(plant.system, controller)
         M = loop.response([frequency])[0]
@@ -55,12 +55,12 @@ class Limiting:
         return cls(frequency, _shares(Vh[0], loop.inputs), _shares(U[:, 0], loop.outputs))
 
     def sentence(self) -> str:
-        """In words."""
+        """Describe the limit in words."""
         return f"mu enters by {_carriers(self.enters_by)} and leaves by {_carriers(self.leaves_by)}"
 
 
 def _shares(x: np.ndarray, names: tuple[str, ...]) -> dict[str, float]:
-    """|x_k|^2 by name, of a vector of length 1."""
+    """|x_k|^2 by name, for a vector x of norm 1."""
     return dict(zip(names, (np.abs(x) ** 2).tolist(), strict=True))
 
 

@@ -1,8 +1,8 @@
-"""Proofs for the loop whose demand meets its limits, with anti-windup, at frozen speeds (THEORY 7.12).
+"""Prove stability and gain at frozen speeds while the demand is limited, with anti-windup (THEORY 7.12).
 
-A row holds for every LTI Delta within W_delta, and as long as the demand that the controller wants stays
-within kappa times its limit. The loop is then stable, and the gain from [w; n; r_c] to z is bounded. Every
-[w; n; r_c] of at most an energy keeps the demand there and the rate limit untouched.
+A row holds for every LTI Delta within W_delta, while the wanted demand stays within kappa times its limit.
+The loop is then stable, and the gain from [w; n; r_c] to z is bounded. The row also bounds the energy of [w;
+n; r_c]. Below this bound, the demand stays within kappa times its limit, and its rate limit has no effect.
 """
 
 from collections.abc import Iterator
@@ -22,7 +22,7 @@ from ..engine.synthesis.saturation import LimitedLoop
 from .plants import DesignProblem
 
 KAPPAS = (1.0, 1.5, 2.0, np.inf)
-"""Wanted demand over its limit; 1: the limit is never reached, inf: any demand."""
+"""Ratios kappa of the wanted demand to its limit. 1: the limit is never exceeded; inf: any demand."""
 SPEEDS = 4
 """Nodes, ends included."""
 ENERGY_RTOL, LEVEL_RTOL = 1e-5, 1e-4
@@ -31,18 +31,19 @@ ENERGY_RTOL, LEVEL_RTOL = 1e-5, 1e-4
 
 @dataclass(frozen=True)
 class LimitRow:
-    """Row at ``v_mps``, for demands within ``kappa`` (None: any) times their limits.
+    """Proofs at one speed, for wanted demands within kappa times their limits.
 
     Attributes
     ----------
     v_mps : float, m/s
-    kappa : float or None
+    kappa : float or None, None: any demand
     stability_level : float or None
-        Below 1 the loop is stable, by its constants. None: unstable in the middle of the sector.
+        A level below 1 proves stability, with the constants. None: the loop is unstable in the middle of the
+        sector.
     stability_constants : tuple of float
     gain : float or None, bound from [w; n; r_c] to z; None: none found
     gain_constants : tuple of float
-    energy : float or None, largest norm of [w; n; r_c] that keeps the demand there; None: none found
+    energy : float or None, norm of [w; n; r_c] up to which the demand stays within kappa; None: none found
     energy_constants : tuple of float
     """
 
@@ -63,7 +64,7 @@ class LimitRow:
 
 @dataclass(frozen=True)
 class Limits:
-    """``rows`` in the order of speed, then kappa."""
+    """Rows in the order of speed, then of kappa."""
 
     rows: tuple[LimitRow, ...]
 
@@ -74,7 +75,7 @@ class Limits:
         return max((np.inf if k is None else k for k, held in stable.items() if held), default=0.0)
 
     def energy(self) -> float:
-        """Energy that keeps some kappa's demand at every speed; 0 without any."""
+        """Largest energy that is proved at every speed for one kappa; 0 without any."""
         by_speed: dict[float, float] = {}
         for row in self.rows:
             by_speed[row.v_mps] = max(by_speed.get(row.v_mps, 0.0), row.energy or 0.0)
@@ -101,7 +102,7 @@ def limits(
     progress: Progress = lambda _: None,
     workers: Map = map,
 ) -> Limits:
-    """Rows of SPEEDS nodes and every kappa, shared by ``workers``."""
+    """Compute the rows of SPEEDS nodes and of every kappa; ``workers`` share the rows."""
     some = evenly(len(schedule.speeds), SPEEDS)
     points = [(float(schedule.speeds[k]), kappa) for k in some for kappa in KAPPAS]
     rows = workers(
@@ -145,10 +146,9 @@ def require_limits(
     progress: Progress = lambda _: None,
     workers: Map = map,
 ) -> None:
-    """Raise InputError unless the constants of ``stated`` (certificates.limits of ``path``) prove its
-    numbers.
+    """Raise InputError unless the constants in ``stated`` prove the numbers in ``stated``.
 
-    None claims nothing. ``workers`` share the rows.
+    ``stated`` is certificates.limits of ``path``; None claims nothing. ``workers`` share the rows.
     """
     if stated is None:
         return
@@ -195,7 +195,7 @@ def _require_row(
 
 
 def largest_step(problem: DesignProblem, schedule: Scheduled) -> np.ndarray:
-    """Return the largest steps of the demands from sample to sample within the rate limits.
+    """Return the largest change of each demand from one sample to the next that its rate limit allows.
 
     Parameters
     ----------
@@ -212,7 +212,7 @@ def largest_step(problem: DesignProblem, schedule: Scheduled) -> np.ndarray:
 def _loops(
     problem: DesignProblem, schedule: Scheduled, scaling: Scaling, points: list[tuple[float, float]]
 ) -> Iterator[tuple[float, LimitedLoop]]:
-    """Speed and loop of every speed and kappa in ``points``."""
+    """Yield the speed and the limited loop for each speed and kappa in ``points``."""
     for v, kappa in points:
         plant = problem.plant(v)
         yield v, LimitedLoop(plant, schedule.at(v), schedule.injection(v), kappa, scaling)

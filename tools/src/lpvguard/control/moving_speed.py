@@ -1,7 +1,7 @@
-"""Proofs for a scheduled loop while the speed moves: search, storage and repetition.
+"""Search, store and repeat the proofs for a scheduled loop while the speed moves.
 
-Robust stability has the largest rate |dv/dt| that was found (engine/synthesis/lpv_certificate.py). Robust
-performance has one rate, and the level at which it holds there (engine/synthesis/least_level.py).
+Robust stability is proved up to the largest rate |dv/dt| that is found (engine/synthesis/lpv_certificate.py).
+Robust performance is proved for one rate, at the least level that is found (engine/synthesis/least_level.py).
 """
 
 from collections.abc import Callable
@@ -35,24 +35,26 @@ from .plants import DesignProblem
 PERFORMANCE_RATE = 1.0
 """Rate |dv/dt| in m/s^2 for which robust performance is searched, about that of a truck's service braking."""
 TUNING_SPEEDS = 4
-"""Nodes, ends included, for which D's shape is searched."""
+"""Number of nodes, ends included, for which the shape of D is searched."""
 POSITIVE = ("rate_mps2", "level", "gain")
-"""Numbers that a claim needs."""
+"""Fields that a claim needs."""
 MARGIN_RTOL = 1e-2
-"""Share by which a stated margin of a proof may exceed the one computed again: it is a small difference."""
+"""Share by which a stated margin may exceed the recomputed one. A margin is a small difference of large
+numbers."""
 CLAIMS = ("stability", "performance")
-"""Claims on a moving speed, the first for Delta's channels alone."""
+"""Claims about a moving speed. The first one concerns the channels of Delta alone."""
 MOVING_CLAIMS = {
     "stability": "the loop stays stable for every LTI Delta within W_delta",
     "performance": "every LTI Delta within W_delta leaves a gain from w to z below level, from rest: robust "
     "performance with A_t and A_u over level",
 }
-"""Words of each claim for every speed of the range and every |dv/dt| up to the stated rate."""
+"""Wording of each claim. A claim holds for every speed of the range and every |dv/dt| up to the stated
+rate."""
 
 
 @dataclass(frozen=True)
 class Moving:
-    """A claim's certificate and its D, scaled by the certificate's gain."""
+    """Certificate of a claim, with its D scaled by the certificate's gain."""
 
     lpv: LpvCertificate
     scaling: Scaling
@@ -67,7 +69,7 @@ def moving_certificates(
 ) -> dict[str, Moving | None]:
     """Search the certificates for a moving speed.
 
-    A worker searches for stability while another one searches for performance.
+    One worker searches for stability while others search for performance.
 
     Parameters
     ----------
@@ -104,7 +106,7 @@ def moving_certificates(
 
 
 def _stability(design: tuple[DesignProblem, Scheduled, Scaling]) -> Moving | None:
-    """Certificate of stability; None without one or without a Delta."""
+    """Certificate of stability; None if there is no Delta, or if no proof is found."""
     problem, schedule, scaling = design
     families = scaled_families(problem, schedule, scaling)
     stable = find(families["stability"]) if "stability" in families else None
@@ -114,7 +116,7 @@ def _stability(design: tuple[DesignProblem, Scheduled, Scaling]) -> Moving | Non
 def tuning(
     schedule: Scheduled, plant_of: Callable[[float], GeneralisedPlant], scaling: Scaling, workers: Map = map
 ) -> Callable[[float], Scaling]:
-    """The D with the least frozen gain for the given controller, by the level.
+    """Return a function that gives, for a level, the D with the least frozen gain for this controller.
 
     plant_of(v) is the generalised plant at v [m/s]; ``scaling`` starts the search. ``workers`` share the
     speeds.
@@ -122,7 +124,8 @@ def tuning(
     nodes = schedule.speeds[evenly(len(schedule.speeds), TUNING_SPEEDS)]
     plants = {float(v): plant_of(float(v)) for v in nodes}
     loops = [lft(plant.system, schedule.at(v)) for v, plant in plants.items()]
-    # The common D can lie where no single parameter improves it; those of the single speeds lead out.
+    # The common D can lie where no change of a single parameter improves it. The D of each speed is then a
+    # better start.
     designs = [(plant, schedule.at(v), scaling) for v, plant in plants.items()]
     starts = [scaling, *(one.scaling for one in workers(certified, designs))]
     delta = _delta(plants[float(nodes[0])])
@@ -140,7 +143,7 @@ def _delta(plant: GeneralisedPlant) -> tuple[int, int]:
 
 
 def scaled_families(problem: DesignProblem, schedule: Scheduled, scaling: Scaling) -> dict[str, Family]:
-    """Make the loop over speed under a scaling, by claim.
+    """Make the scaled loop over speed for each claim.
 
     Parameters
     ----------
@@ -150,11 +153,10 @@ def scaled_families(problem: DesignProblem, schedule: Scheduled, scaling: Scalin
 
     Returns
     -------
-    dict[str, Family], a design without Delta has performance alone
+    dict[str, Family], by claim; a design without Delta has only performance
     """
     model, plant = problem.model, problem.plant(float(schedule.speeds[0]))
-    # The probes: state, input, and with state uncertainty an input on every state; see
-    # interconnection.generalised_plant.
+    # The last outputs and inputs are the probes of interconnection.generalised_plant.
     held = model.held_states + model.n_u + (model.n if problem.settings.structure == "K_is" else 0)
     first = scaling.systems(plant)[1].order
 
@@ -186,7 +188,7 @@ def require_moving(
     progress: Progress = lambda _: None,
     workers: Map = map,
 ) -> None:
-    """Raise InputError unless every rate in the certificates ``stated`` is proved again.
+    """Raise InputError unless a new proof confirms every rate in the certificates ``stated``.
 
     ``workers`` share the claims.
     """
@@ -207,11 +209,11 @@ def require_moving(
 
 
 def _holds(statement: tuple[DesignProblem, Scheduled, str, dict]) -> bool:
-    """Return whether controller.json's statement of a claim at a moving speed is proved again."""
+    """Tell if a new proof confirms a claim of controller.json about a moving speed."""
     problem, schedule, claim, entry = statement
     if not all(np.isfinite(entry.get(name, np.nan)) and entry[name] > 0 for name in POSITIVE):
         return False
-    # A level is performance's: stability is claimed at 1 alone, with the design's own D.
+    # Only performance has a level. Stability is claimed at level 1, with the design's own D.
     families = scaled_families(problem, schedule, _scaling(entry["scaling"]))
     if claim not in families:
         return False
@@ -223,7 +225,7 @@ def _holds(statement: tuple[DesignProblem, Scheduled, str, dict]) -> bool:
 
 
 def _storage(family: Family, entry: dict) -> Storage | None:
-    """Storage function of controller.json; None where it is not of this loop over its range."""
+    """Read the storage function of controller.json; None if it does not fit this loop and its speed range."""
     if entry["P"] is None:
         return riccati_storage(family)
     n, knots = family.at(float(family.nodes[0])).order, entry["knots_mps"]
@@ -240,7 +242,7 @@ def _storage(family: Family, entry: dict) -> Storage | None:
 
 
 def moving_to_dict(moving: dict[str, Moving | None]) -> dict:
-    """``moving`` by claim for controller.json; a missing claim claims nothing."""
+    """Make the entries of controller.json by claim."""
     return {claim: _moving(claim, moving.get(claim)) for claim in CLAIMS}
 
 
@@ -276,7 +278,7 @@ def _moving(claim: str, moving: Moving | None) -> dict:
 
 
 def _scaling(rows: list[list[float]]) -> Scaling:
-    """D by its parameters, one row a block of Delta."""
+    """Make D from its parameters, one row for each block of Delta."""
     return Scaling(np.array(rows, float).reshape(len(rows), -1) if rows else np.zeros((0, 1)))
 
 
@@ -286,7 +288,7 @@ def _square(values: list[float]) -> np.ndarray:
 
 
 def _symmetric(upper: list[float]) -> np.ndarray:
-    """A symmetric matrix from its upper triangle row by row."""
+    """Make a symmetric matrix from its upper triangle, given row by row."""
     n = int(np.sqrt(2 * len(upper)))
     P = np.zeros((n, n))
     P[np.triu_indices(n)] = upper

@@ -1,7 +1,9 @@
 """Fig. 1 of an identified vehicle: its settings, its weights and the generalised plant at a frozen speed.
-Everything is discrete from the start: the vehicle sampled exactly at Ts, the weights by Tustin's map. The
-model's input delay lies before the vehicle, a fraction of a sample within it. The performance weights W_u
-have no delay. The weight of a further input is that of the first, times the first's rate limit over its own.
+
+Everything is discrete from the start: the vehicle is sampled exactly at Ts, the weights by Tustin's map.
+Whole samples of the model's input delay lie before the vehicle; a fraction of a sample lies within it. The
+performance weights W_u have no delay. The weight of input k is W_u1 rate_1 / rate_k, with the first input's
+weight W_u1 and the inputs' rate limits.
 """
 
 from __future__ import annotations
@@ -21,9 +23,11 @@ from ..vehicle.nominal import NominalModel
 from .stored_frames import SplitWeights, StoredFrames
 
 LEAST_NOISE = 0.01
-"""Floor of a sensor's noise, as a share of the least disturbance weight: no measurement is without noise."""
+"""Least noise of a sensor, as a share of the least disturbance weight, because every measurement has
+noise."""
 LARGEST_WINDOW_ERROR = 0.1
-"""Largest median error of the state's uncertainty from frames, over bins, for a design of K_is."""
+"""Largest median error, over bins, with which frames may determine the state uncertainty for a design of
+K_is."""
 
 
 def design_settings(stored: StoredIdentification) -> DesignSettings:
@@ -40,7 +44,7 @@ def design_settings(stored: StoredIdentification) -> DesignSettings:
     Raises
     ------
     InputError
-        If there is none.
+        If the project file has no [design] table.
     """
     if stored.project.design is None:
         raise InputError(
@@ -70,7 +74,7 @@ class DesignProblem:
     Attributes
     ----------
     stored : StoredIdentification
-    settings : DesignSettings, structure, A_t, A_u and shapes, the project's or others
+    settings : DesignSettings, structure, A_t, A_u and shapes, from the project or from the caller
 
     References
     ----------
@@ -83,7 +87,7 @@ class DesignProblem:
 
     @classmethod
     def from_identification(cls, stored: StoredIdentification) -> DesignProblem:
-        """The problem that the project's [design] table states; InputError without one."""
+        """Make the problem of the project's [design] table; raise InputError without such a table."""
         return cls(stored, design_settings(stored))
 
     def with_settings(self, settings: DesignSettings) -> DesignProblem:
@@ -96,11 +100,10 @@ class DesignProblem:
         return self.stored.model
 
     def state_uncertainty(self) -> SplitWeights:
-        """Class S2's weights at the identified gamma_w: W_delta_i dimensionless, W_delta_s in 1/s; searched
-        once for each lambda_s.
+        """Weights of class S2 at the identified gamma_w: W_delta_i dimensionless, W_delta_s in 1/s.
 
-        xi_s adds to the state's derivative. It is found by inverting dynamics, which windows only
-        approximate: InputError where the frames cannot tell it.
+        xi_s adds to the derivative of the state. The inverse dynamics give xi_s, but a windowed DFT only
+        approximates them. Raises InputError if the frames determine xi_s with too large an error.
         """
         stored, lambda_s = self.stored, self.settings.lambda_s
         error = stored.bounds["window_error_median"]
@@ -123,11 +126,12 @@ class DesignProblem:
 
     @cached_property
     def weights(self) -> fig1.PlantWeights:
-        """Weights of Fig. 1: some from the settings, the others as identified.
+        """Weights of Fig. 1, from the settings and from the identification.
 
-        Without drives of the noise split, W_n is the deviation of the sensors' noise, and W_w also contains
-        that noise. Raises InputError when identification and design differ in uncertainty. S1_diagonal goes
-        with K_o, S1 with K_i and K_is, and K_inf with each. One Delta of a single output is also K_o's.
+        Without drives for the noise, W_n is the standard deviation of the sensors' noise. W_w then also
+        contains this noise. Raises InputError if identification and design have different uncertainty
+        structures. K_o needs S1_diagonal. K_i and K_is need S1. K_inf accepts both. With a single output, K_o
+        also accepts S1.
         """
         stored, settings, fitted = self.stored, self.settings, self.stored.fitted
         outputwise, n_y = settings.structure == fig1.OUTPUTWISE, stored.project.n_y
@@ -176,7 +180,7 @@ class DesignProblem:
         )
 
     def _sensor_noise(self) -> tuple[StateSpace, ...]:
-        """W_n (n_y,) from the sensors' noise and resolution in the bound-setting drives, constant."""
+        """Constant W_n (n_y,) from the sensors' noise and resolution in the drives that set the bounds."""
         bounds, fitted = self.stored.bounds, self.stored.fitted
         seen = np.hypot(bounds["sensor_noise"], bounds["resolution"] / np.sqrt(12))
         least = [LEAST_NOISE * W.magnitude(self.stored.estimator.omega).min() for W in fitted.W_w]
@@ -197,8 +201,8 @@ def plant_at(
 ) -> fig1.GeneralisedPlant:
     """Discrete generalised plant at speed v [m/s], the model's input delay included.
 
-    delayed: with one more sample of delay before the control input, for the controller's computation. probes:
-    as in ``generalised_plant``.
+    ``delayed`` adds one sample of delay before the control input, for the controller's computation.
+    ``probes`` is the option of `generalised_plant`.
     """
     A, B = (m[0] for m in model.matrices(np.array([v])))
     late = model.delay + model.delay_fraction

@@ -1,7 +1,8 @@
-"""A controller in the field against another identification: proved, proved at lower performance, or not.
+"""Certify a controller in the field for another identification: at full performance, at lower, or not at all.
 
-The coefficients stay as they are. Only the weights of the set are others. Where mu reaches 1, the objectives
-A_t and A_u are divided by the least common level that is proved at every speed of the certificate.
+The coefficients stay the same. Only the weights of the model set change. If mu reaches 1, the objectives A_t
+and A_u are divided by one common level. The level is the least one that is proved at every speed of the
+certificate.
 """
 
 from __future__ import annotations
@@ -20,19 +21,19 @@ from .plants import DesignProblem
 
 PROVED, LOWER, NOT = "proved", "proved at lower performance", "not proved"
 HIGHEST_LEVEL, STEPS = 64.0, 8
-"""Largest level that is tried, and halvings of its logarithm."""
+"""Largest level that is tried, and number of bisection steps of its logarithm."""
 
 
 @dataclass(frozen=True)
 class Recertification:
-    """Certificates at frozen speeds, before and after.
+    """Certificates at frozen speeds with the previous and with the new identification.
 
     Attributes
     ----------
     verdict : str, PROVED, LOWER or NOT
-    level : float or None, divides A_t and A_u; None: none is proved
-    rows : list of dict, v_mps, and mu_before and mu_after, upper bounds at level 1
-    at_level : list of float, upper bounds of mu at the level, by row
+    level : float or None, divisor of A_t and A_u; None: no level is proved
+    rows : list of dict, with v_mps, and with the upper bounds mu_before and mu_after at level 1
+    at_level : list of float, upper bound of mu at ``level`` for each row
     """
 
     verdict: str
@@ -42,7 +43,7 @@ class Recertification:
 
     @property
     def proved(self) -> bool:
-        """True where mu is below 1 with the objectives as they are."""
+        """Tell if mu is below 1 with unchanged objectives."""
         return self.verdict == PROVED
 
 
@@ -53,7 +54,7 @@ def recertified(
 
     Parameters
     ----------
-    path : Path, controller.json, or its folder
+    path : Path, controller.json or its folder
     stored : StoredIdentification
     progress : Callable, reports progress
     workers : Map, shares the speeds
@@ -65,7 +66,7 @@ def recertified(
     Raises
     ------
     InputError
-        If the file cannot be read or is of another vehicle, or drives refute the set.
+        If the file cannot be read or belongs to another vehicle, or if drives refute the model set.
     """
     present = PresentController.from_path(path, stored)
     require_premise(stored)

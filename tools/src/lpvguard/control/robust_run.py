@@ -1,9 +1,10 @@
-"""The certified gain in simulation: nominal plant, weights, a stable Delta and the compiled float controller.
+"""Test the certified gain by simulating the nominal plant, the weights, a Delta and the compiled controller.
 
-The demand has no limits. For every Delta with ||Delta||_inf <= 1 / max(1, mu) the gain from [w; n; r_c] to z,
-both normalised (before the weights), is at most mu from rest. With the controller's rounding, ||z|| <= mu
-||[w; n; r_c]|| + ``QUANTISATION`` ||[w; n; r_c]||. It is tested on sampled Delta and inputs. It is also
-tested on the worst stable Delta found (engine/synthesis/worst_case.py) with the input of largest gain.
+The demand has no limits. For every Delta with ||Delta||_inf <= 1 / max(1, mu), the gain from [w; n; r_c] to z
+is at most mu from rest. Both signals are normalised (before the weights). With the controller's rounding,
+||z|| <= mu ||[w; n; r_c]|| + ``QUANTISATION`` ||[w; n; r_c]||. The test draws Delta and inputs at random. It
+also uses the worst stable Delta that is found (engine/synthesis/worst_case.py), with the input of largest
+gain.
 """
 
 import ctypes
@@ -26,11 +27,12 @@ from .controller_file import stated_scaling
 from .plants import DesignProblem
 
 QUANTISATION = 1e-4
-"""Stated effect of float32 in z, relative to the input's norm; it is measured, too."""
+"""Allowed effect of float32 rounding in z, relative to the norm of the input. The test measures the
+effect."""
 STEPS, WORST_STEPS, DECAY = 3000, 12000, 1000
-"""Samples of a draw and of the worst case, and the samples at the latter's end without input."""
+"""Samples of a random run and of the worst-case run, and samples without input at the end of a run."""
 POLES_RAD_S = (0.02, 60.0)
-"""Range of the sampled Delta's poles."""
+"""Range of the poles of a random Delta."""
 
 
 @dataclass(frozen=True)
@@ -41,11 +43,11 @@ class RobustRun:
     ----------
     v : float, m/s
     bound : float, mu
-    draws : int, sampled Delta and inputs
-    sampled : float, largest ratio of the draws
-    worst : float, ratio with the worst Delta found
-    worst_gain : float, its ratio in theory
-    rounding : float, largest ||z - z of the same loop in double|| / ||input||
+    draws : int, number of random runs
+    sampled : float, largest ratio of the random runs
+    worst : float, ratio with the worst Delta that is found
+    worst_gain : float, theoretical ratio with that Delta
+    rounding : float, largest ||z - z_double|| / ||input||; z_double is computed in double precision
     """
 
     v: float
@@ -58,7 +60,7 @@ class RobustRun:
 
     @property
     def kept(self) -> bool:
-        """Whether every ratio is within the bound and the stated quantisation term, and that term holds."""
+        """Tell if each ratio is at most bound + QUANTISATION, and the rounding at most QUANTISATION."""
         return max(self.sampled, self.worst) <= self.bound + QUANTISATION and self.rounding <= QUANTISATION
 
 
@@ -89,9 +91,9 @@ class CompiledController:
     def close(
         self, plant: StateSpace, n_measurement: int, v: float, w: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """z (N, n_z) and u (N, n_u) of ``plant`` from rest for inputs w (N, n_w) at speed v [m/s].
+        """Simulate a loop from rest for inputs w (N, n_w) at speed v [m/s]; return z (N, n_z) and u (N, n_u).
 
-        The plant leads from [w; u] to [z; y], discrete.
+        ``plant`` is a discrete system from [w; u] to [z; y].
         """
         w = np.ascontiguousarray(w)
         n_z, n_u = plant.n_outputs - n_measurement, plant.n_inputs - w.shape[1]
@@ -116,16 +118,16 @@ def run(
     draws: int,
     seed: int,
 ) -> RobustRun:
-    """Run sampled Delta and inputs and the worst case at a speed.
+    """Run random Delta and inputs, and the worst case, at one speed.
 
     Parameters
     ----------
     compiled : CompiledController
     plant : GeneralisedPlant, discrete
-    controller : StateSpace, the compiled one in double
+    controller : StateSpace, the compiled controller in double precision
     v : float, m/s
-    proved : RobustPerformance, certificate at that speed
-    draws : int, number of samples
+    proved : RobustPerformance, certificate at this speed
+    draws : int, number of random runs
     seed : int
 
     Returns
@@ -168,14 +170,14 @@ def run(
 def certified_runs(
     stored: StoredIdentification, document: dict, compiled: CompiledController, draws: int
 ) -> list[RobustRun]:
-    """Run the compiled controller with members of the identified set, at some of its speeds.
+    """Run the compiled controller with vehicles of the identified set, at some of its speeds.
 
     Parameters
     ----------
     stored : StoredIdentification
     document : dict, controller.json
     compiled : CompiledController
-    draws : int, sampled members of all speeds together; the worst one found is added at each
+    draws : int, number of random vehicles over all speeds; the worst vehicle of each speed is added
 
     Returns
     -------
@@ -197,8 +199,7 @@ def _perturbed(plant: GeneralisedPlant, delta: StateSpace | None) -> StateSpace:
 
 
 def _ratio(compiled, plant, controller, v, delta, w, compare) -> tuple[float, float]:
-    """||z|| / ||w|| of the compiled loop, and with ``compare`` the distance of z from that in double over
-    ||w||."""
+    """Compute ||z|| / ||w|| of the compiled loop, and with ``compare`` also ||z - z_double|| / ||w||."""
     system, size = _perturbed(plant, delta), np.linalg.norm(w)
     z, _ = compiled.close(system, plant.n_measurement, v, w)
     rounded = np.linalg.norm(z - _response(lft(system, controller), w)) / size if compare else 0.0
@@ -243,7 +244,7 @@ def sampled_block(random, rows: int, cols: int, size: float, dt: float) -> State
 
 
 def _sampled_input(random, n_w: int, dt: float) -> np.ndarray:
-    """White noise, or a few sines in random directions, then zero."""
+    """Draw white noise or a few sines in random directions, followed by zeros."""
     if random.random() < 0.5:
         w = random.standard_normal((STEPS, n_w))
     else:
@@ -257,5 +258,5 @@ def _sampled_input(random, n_w: int, dt: float) -> np.ndarray:
 
 
 def _window(steps: int) -> np.ndarray:
-    """A half sine over the samples with input, zero over the last ``DECAY``."""
+    """Half sine over the samples with input; zero over the last ``DECAY`` samples."""
     return np.concatenate([np.sin(np.pi * np.arange(steps - DECAY) / (steps - DECAY)), np.zeros(DECAY)])

@@ -1,8 +1,8 @@
-"""Robustness of a design's loop at every node of its speeds besides mu (THEORY 7.10).
+"""Robustness of a design's loop at every speed node, besides mu (THEORY 7.10).
 
-It has bounds between frequencies, the worst-case gain, disk margins at the vehicle's input, and the nu-gap to
-the neighbouring vehicles. All of it is about frozen speeds, the core's coefficients and the nominal vehicle.
-Worst-case gain and mu are bounds over every Delta of size 1.
+The results are mu over all frequencies, the worst-case gain, disk margins at the vehicle's input, and the
+nu-gap to the neighbouring vehicles. They concern frozen speeds, the core's coefficients and the nominal
+vehicle. Worst-case gain and mu are bounds over every Delta of size 1.
 """
 
 from collections.abc import Callable, Sequence
@@ -31,15 +31,15 @@ from ..vehicle.nominal import NominalModel
 from .plants import DesignProblem, vehicle_at
 
 FOUND_RTOL, EXACT_RTOL = 2e-3, 1e-5
-"""Largest relative difference between stated and computed numbers: of a bound by cells or a search, and of
-a norm."""
+"""Largest relative differences between stated and computed numbers, for a searched bound and for a norm."""
 LOOSE = {"mu_interval", "worst_gain", "worst_gain_found"}
 UPPER = ("mu_interval", "worst_gain")
-"""Upper bounds: a stated one may exceed the proved one by FOUND_RTOL, and may not be below it."""
+"""Fields with upper bounds. A stated bound may exceed the proved bound by FOUND_RTOL. It may not be
+smaller."""
 PROVED_RTOL = 1e-9
 """Rounding of a stated upper bound."""
 SCALING_NODES, SCALING_STEPS = 3, 60
-"""Pairs of neighbours for which the units of the nu-gap are searched, and steps of the search."""
+"""Number of neighbour pairs with which the units of the nu-gap are searched, and steps of the search."""
 
 
 @dataclass(frozen=True)
@@ -51,13 +51,15 @@ class NodeRobustness:
     v_mps : float, m/s
     mu_interval : float, bound of mu proved at every frequency
     worst_gain : float or None
-        Bound of the gain from [w; n; r_c] to z over every Delta of size 1. None: none proved.
-    worst_gain_found : float or None, gain with one such Delta; None: none found
+        Bound of the gain from [w; n; r_c] to z over every Delta of size 1. None: no bound proved.
+    worst_gain_found : float or None, gain with the worst Delta that is found; None: no Delta found
     disk_S, disk_T, disk_balanced : float
-        Disk margins at the vehicle's inputs (T27), of all at once in units in proportion to their limits.
+        Disk margins at all vehicle inputs at once (T27). The units of the inputs are in proportion to their
+        limits.
     nu_margin : float, b(P, K)
     nu_gap_next, nu_gap_midpoint : float or None
-        nu-gap to the vehicle at the next node and midway to it. None at the last node.
+        nu-gaps to the vehicle at the next node and at the midpoint before the next node. None at the last
+        node.
     """
 
     v_mps: float
@@ -74,9 +76,9 @@ class NodeRobustness:
 
 @dataclass(frozen=True)
 class Robustness:
-    """``nodes``; ``unit_u``, ``units_y`` (n_y,): units of first input and outputs for the nu-gap.
+    """Robustness of all nodes, with the units for the nu-gap of the first input and the outputs (n_y,).
 
-    The units of further inputs are in proportion to the limits in the middle of the speed range.
+    The units of further inputs are in proportion to the input limits in the middle of the speed range.
     """
 
     nodes: tuple[NodeRobustness, ...]
@@ -102,8 +104,10 @@ def robustness(
     progress: Progress = lambda _: None,
     workers: Map = map,
 ) -> Robustness:
-    """Robustness of every node; ``scaling`` helps the search for the worst Delta, ``workers`` share the
-    nodes."""
+    """Compute the robustness of every node; ``workers`` share the nodes.
+
+    ``scaling`` helps the search for the worst Delta.
+    """
     unit_u, units_y = _units(problem.model, schedule, workers)
     return _with_units(problem, schedule, scaling, unit_u, units_y, progress, workers)
 
@@ -117,10 +121,10 @@ def require_robustness(
     progress: Progress = lambda _: None,
     workers: Map = map,
 ) -> None:
-    """Raise InputError unless ``stated`` (certificates.robustness of ``path``) is computed again, in its
-    units.
+    """Raise InputError unless a new computation confirms ``stated``, certificates.robustness of ``path``.
 
-    None claims nothing. An upper bound below the one computed again is proved as stated.
+    The computation uses the stated units. None claims nothing. A stated upper bound below the recomputed one
+    is accepted if it is proved.
     """
     if stated is not None:
         units = stated["unit_u"], tuple(stated["units_y"])
@@ -129,7 +133,7 @@ def require_robustness(
 
 
 def compare(path: Path, stated: dict, recomputed: Robustness) -> None:
-    """Raise InputError for the node and the number of ``stated`` that differs from ``recomputed``."""
+    """Raise InputError that names the node and the number if ``stated`` differs from ``recomputed``."""
     if len(stated["nodes"]) != len(recomputed.nodes):
         raise InputError(
             path,
@@ -187,10 +191,10 @@ def _with_units(
 
 @dataclass(frozen=True)
 class _Asked:
-    """A node: its generalised plant, controller and vehicle, and its neighbours' vehicles.
+    """Data of one node: generalised plant, controller, vehicle, and neighbouring vehicles.
 
-    These are at the next node and midway to it; the last node has none. ``stated`` holds upper bounds by name
-    to prove.
+    The neighbours are the vehicles at the next node and at the midpoint before it; the last node has none.
+    ``stated`` holds the upper bounds to prove, by name.
     """
 
     v: float
@@ -201,10 +205,10 @@ class _Asked:
     stated: dict[str, float | None]
 
     def proved(self, name: str, bound: Callable[[float], float]) -> float:
-        """Return the upper bound ``name`` as stated if it is proved, else the one computed anew.
+        """Return the stated upper bound ``name`` if it is proved, otherwise the recomputed one.
 
-        ``bound`` is the upper bound by the level from which its search begins. It is asked for the stated
-        level only where that is less than what it finds by itself.
+        ``bound(level)`` searches an upper bound from ``level`` on. The stated level is tried only if it is
+        below the bound that ``bound`` finds from level 0.
         """
         value, stated = bound(0.0), self.stated.get(name)
         near = stated is not None and value * (1 - FOUND_RTOL) <= stated < value
@@ -212,7 +216,7 @@ class _Asked:
 
 
 def _proportions(schedule: Scheduled) -> np.ndarray:
-    """Limits (n_u,) of the demands over the first's, in the middle of the speed range."""
+    """Ratio (n_u,) of each demand's limit to the first demand's limit, in the middle of the speed range."""
     limit = schedule.limit(float(schedule.speeds[len(schedule.speeds) // 2]))
     return limit / limit[0]
 
@@ -233,7 +237,7 @@ def _node(scaling: Scaling, units_u: np.ndarray, units_y: tuple[float, ...], at:
     except ArithmeticError:
         worst = None
     back, here = _feedback(K), _in_units(at.P, units_u, units_y)
-    # Inputs in proportion to their limits: a margin of several holds in these units.
+    # The margin of several inputs holds in units in proportion to the input limits.
     alike, ones = units_u / units_u[0], (1.0,) * len(units_y)
     of_inputs = _in_units(at.P, alike, ones), _controller_in_units(back, alike, ones)
     gaps = [nu_gap(here, _in_units(other, units_u, units_y)).upper for other in at.neighbours]
@@ -250,13 +254,13 @@ def _node(scaling: Scaling, units_u: np.ndarray, units_y: tuple[float, ...], at:
 
 
 def _feedback(K: StateSpace) -> StateSpace:
-    """The controller without the reference, its first input."""
+    """Controller without its first input, the reference."""
     return K.select(slice(None), slice(1, None))
 
 
 def _disk(P: StateSpace, K: StateSpace, skew: float) -> float:
-    """The disk margin (T27) at the inputs of P, u = K y: the reciprocal of ‖S + ½(skew − 1) I‖∞."""
-    # From [w, u] to [w + u, y]: closed, S from w to w + u.
+    """Disk margin (T27) at the inputs of P with u = K y: the reciprocal of ‖S + ½(skew − 1) I‖∞."""
+    # System from [w, u] to [w + u, y]. Closed with u = K y, it is S from w to w + u.
     n_u = P.n_inputs
     both = StateSpace(
         P.A,
@@ -281,9 +285,9 @@ def _controller_in_units(K: StateSpace, units_u: np.ndarray, units_y: tuple[floa
 
 
 def _units(model: NominalModel, schedule: Scheduled, workers: Map) -> tuple[float, tuple[float, ...]]:
-    """Units with the smallest nu-gaps between neighbours relative to b(P, K).
+    """Search the units with the smallest nu-gaps between neighbours relative to b(P, K).
 
-    The search starts from those of a stationary vehicle at its limit in the middle of the range.
+    The search starts from the steady input and outputs at the input limit, in the middle of the speed range.
     """
     speeds = [float(v) for v in schedule.speeds]
     middle = speeds[len(speeds) // 2]
@@ -306,8 +310,10 @@ def _units(model: NominalModel, schedule: Scheduled, workers: Map) -> tuple[floa
 def _log_ratio(
     units_u: np.ndarray, units_y: tuple[float, ...], at: tuple[StateSpace, StateSpace, StateSpace]
 ) -> float:
-    """log of nu-gap over b(P, K) of a vehicle, its neighbour and its feedback; inf in units that leave only
-    rounding."""
+    """Compute log(nu-gap / b(P, K)) of a vehicle, its neighbour and its feedback.
+
+    The result is inf in units in which only rounding errors remain.
+    """
     here, after = (_in_units(P, units_u, units_y) for P in at[:2])
     try:
         margin = nu_margin(here, _controller_in_units(at[2], units_u, units_y))

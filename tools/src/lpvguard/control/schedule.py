@@ -1,22 +1,22 @@
-"""Computes a controller over speed: common poles, and numerators and anti-windup at every node
-(core/scheduled.py).
+"""Compute a controller over speed (core/scheduled.py): common poles; numerators and anti-windup at each node.
 
-Controllers of the order of an H-infinity design differ from speed to speed mostly in their zeros. A set of
-poles common to all speeds serves them all with few more states. The poles are those of one system. It holds
-the demands of all nodes in parallel, each with separate inputs, summed into one output. It is truncated in
-balanced coordinates with weights (Enns 1984). With these poles, every B is a linear least-squares fit. Both
-steps are weighted by the effect of a deviation of K on the scaled closed loop,
+Controllers of the order of an H-infinity design differ from speed to speed mostly in their zeros. One set of
+common poles serves all speeds with few more states. The poles come from one system: the controllers of all
+nodes in parallel, each with separate inputs, their demands summed into one output. Weighted balanced
+truncation reduces this system (Enns 1984). With these poles, every B is a linear least-squares fit. The
+weight of both steps is the effect of a deviation dK on the scaled closed loop,
 
     D P12 (1 - K P22)^-1  dK  (1 - P22 K)^-1 P21 D^-1.
 
-States that nearly cancel would make B, and with it the storage of a moving loop, vary without need; balanced
-truncation has none.
+Balanced truncation leaves no states that nearly cancel. Such states would make B, and the storage functions
+of the moving loop, vary more than necessary.
 
-Limits are compensated by model recovery (Weston and Postlethwaite 2000). The state xi is that of the loop
-without limits minus the vehicle's. It follows ``xi+ = (A_p - B_p F) xi - B_p (u - v)``. The controller reads
-``y + C_p xi`` instead of y. F xi is added to its output and makes xi decay. Both together are a transfer
-function from u - v to v. The controller's own states can realise it, because K's zeros cancel the vehicle's
-poles. L is a linear least-squares fit to it, per node.
+Model recovery compensates the limits (Weston and Postlethwaite 2000). Its state xi is the vehicle state
+without limits minus the vehicle state with limits. It follows ``xi+ = (A_p - B_p F) xi - B_p (u - v)``. The
+controller reads ``y + C_p xi`` instead of y. F xi is added to the controller's output and makes xi decay.
+Both corrections together are a transfer function from u - v to v. The controller's own states can realise
+this transfer function, because the zeros of K cancel the vehicle's poles. At each node, L is a linear
+least-squares fit to the transfer function.
 """
 
 from __future__ import annotations
@@ -33,23 +33,23 @@ from ..engine.synthesis.interconnection import GeneralisedPlant
 from ..engine.synthesis.statespace import StateSpace
 
 FIT_POINTS = 100
-"""Frequencies of the fits, besides zero: five decades up to the Nyquist frequency."""
+"""Number of frequencies of the fits, besides zero, over five decades up to the Nyquist frequency."""
 UNUSED = 1e-6
-"""Share of the loop's need for all measurements below which one is left out at every node."""
+"""A measurement is left out at every node if its share of the fitted response is below this value."""
 LARGEST_POLE = 1 - 1e-6
-"""Largest modulus of a common pole; weights can push one onto or outside the unit circle."""
+"""Largest modulus of a common pole. The weights can move a pole onto or outside the unit circle."""
 RIDGE = 1e-6
-"""Share of a measurement's largest column, added to each fit, so that states of small effect do not
-cancel."""
+"""Regularisation of each fit, as a share of a measurement's largest column. It keeps states of small effect
+from cancelling each other."""
 RECOVERY_RIDGE = 1e-4
 RECOVERY_EFFORT = 0.03
-"""Weight, in squares, of the recovery's input (unit u_max) against the output (unit: steady answer to
+"""Squared weight of the recovery's input (unit u_max) relative to its output (unit: steady response to
 u_max)."""
 
 
 @dataclass(frozen=True)
 class FrozenLoop:
-    """One speed: delayed controller, generalised plant, and vehicle from u to y, all discrete.
+    """Loop at one speed: delayed controller, generalised plant, and vehicle from u to y, all discrete.
 
     ``controlled`` is the index of the controlled output.
     """
@@ -63,12 +63,10 @@ class FrozenLoop:
 def fit_by_pairs(
     loops: Sequence[FrozenLoop], speeds: np.ndarray, scaling: Scaling, u_max: np.ndarray
 ) -> Callable[[int], Scheduled]:
-    """Function of the number of pairs of poles that returns the schedule closest to the controllers of
-    ``loops``.
+    """Return a function that fits a schedule with a given number of pole pairs to the controllers of loops.
 
-    The schedule has so many pairs and a delay; there is a loop a speed. u_max (G, n_u) is the largest
-    |demand| at
-    every speed [input unit]. Raises LinAlgError where a loop's sensitivity or recovery does not exist.
+    There is one loop for each speed. u_max (G, n_u) is the largest |demand| at each speed [input unit]. Each
+    schedule includes the delay. Raises LinAlgError if a loop has no sensitivity or no recovery.
     """
     Ts = loops[0].controller.dt
     omega = np.concatenate([[0.0], np.logspace(-5, 0, FIT_POINTS) * np.pi / Ts * (1 - 1e-9)])
@@ -91,7 +89,7 @@ def fit_by_pairs(
 def _common_poles(
     loops: Sequence[FrozenLoop], fits: Sequence[_RowFit], z: np.ndarray
 ) -> Callable[[int], np.ndarray]:
-    """Function of an even number that returns so many common poles in the z plane."""
+    """Return a function that computes a given even number of common poles in the z plane."""
     density = np.sqrt(np.gradient(np.log(np.maximum(np.angle(z), 0.5 * np.angle(z[1])))))
     heard = density * np.sqrt(np.mean([f.left**2 for f in fits], axis=0))
     reached, seen, A, C = [], [], [], []
@@ -121,7 +119,7 @@ def _common_poles(
 
 
 def _factor(values: np.ndarray) -> np.ndarray:
-    """L (n, n) with L L' = Re(values values^H), values (n, k)."""
+    """Compute L (n, n) with L L' = Re(values values^H), for values (n, k)."""
     n = len(values)
     wide = np.hstack([values.real, values.imag, np.zeros((n, n))])
     R = np.asarray(np.linalg.qr(wide.T, mode="r"))
@@ -129,9 +127,9 @@ def _factor(values: np.ndarray) -> np.ndarray:
 
 
 def first_columns(poles: np.ndarray) -> np.ndarray:
-    """a (n,) of pairs of ``poles`` (n,) in the z plane, slowest first.
+    """Compute the coefficients a (n,) of the pole pairs of ``poles`` (n,) in the z plane, slowest pair first.
 
-    Complex poles come with their conjugates, real ones in an even number.
+    Each complex pole is followed by its conjugate. The number of real poles is even.
     """
     real = np.sort(poles[np.abs(poles.imag) < 1e-9].real)[::-1]
     upper = poles[poles.imag >= 1e-9]
@@ -141,7 +139,7 @@ def first_columns(poles: np.ndarray) -> np.ndarray:
 
 
 def _used(B: np.ndarray, fits: Sequence[_RowFit], a: np.ndarray, z: np.ndarray) -> np.ndarray:
-    """B (k, n, m) of every fit without the measurements that no fit needs, which saves states in proofs."""
+    """Set B (k, n, m) to zero for the measurements that no fit needs, which saves states in proofs."""
     share = np.zeros(B.shape[2])
     for rows, f in zip(B, fits, strict=True):
         K = f.left[:, None] * (observed(a, z) @ rows)
@@ -151,7 +149,7 @@ def _used(B: np.ndarray, fits: Sequence[_RowFit], a: np.ndarray, z: np.ndarray) 
 
 
 def observed(a: np.ndarray, z: np.ndarray) -> np.ndarray:
-    """C (z I - A)^-1, (k, n): contribution of each state to the demand."""
+    """Compute C (z I - A)^-1 (k, n), the contribution of each state to the demand."""
     d = z[:, None] - 1
     first, second = a[: len(a) // 2 * 2].reshape(-1, 2).T
     pair = 1 / (d * d - first * d - second)
@@ -165,32 +163,31 @@ def _stacked(values: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class _RowFit:
-    """One demand at one speed: target response (k, m), and weights left (k,) and right (k, m, m) of a
-    deviation."""
+    """Fit of one demand at one speed: target response (k, m), left weight (k,) and right weight (k, m, m)."""
 
     response: np.ndarray
     left: np.ndarray
     right: np.ndarray
 
     def problem(self, a: np.ndarray, z: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Matrix, right-hand side and scales of the states, of the least-squares problem for B (n, m)."""
+        """Return matrix, right-hand side and state scales of the least-squares problem for B (n, m)."""
         seen = observed(a, z)
         size = np.sqrt(np.mean(np.abs(seen) ** 2, axis=0))
         K = np.einsum("k,kj,kmc->kcjm", self.left, seen / size, self.right).reshape(self.response.size, -1)
         target = np.einsum("k,km,kmc->kc", self.left, self.response, self.right).ravel()
-        # Per measurement: one that the loop hardly needs gets columns that are orders of magnitude larger.
+        # Each measurement has its own scale. The columns of a measurement of little effect are much larger.
         largest = np.linalg.norm(K, axis=0).reshape(len(a), -1).max(axis=0)
         ridge = RIDGE * np.diag(np.tile(largest, len(a)))
         return np.vstack([_stacked(K), ridge]), np.append(_stacked(target), np.zeros(len(ridge))), size
 
     def rows(self, a: np.ndarray, z: np.ndarray) -> np.ndarray:
-        """The best B (n, m)."""
+        """Compute the best B (n, m)."""
         K, target, size = self.problem(a, z)
         return np.linalg.lstsq(K, target, rcond=None)[0].reshape(len(a), -1) / size[:, None]
 
 
 def _fits(loop: FrozenLoop, scaling: Scaling, omega: np.ndarray) -> list[_RowFit]:
-    """One fit a demand, weighted by the scaled closed loop."""
+    """Make one fit for each demand, weighted by the scaled closed loop."""
     plant, K = loop.plant, loop.controller.response(omega)
     P = plant.system.response(omega)
     n_z, n_w = P.shape[1] - plant.n_measurement, P.shape[2] - plant.n_control
@@ -209,9 +206,9 @@ def _fits(loop: FrozenLoop, scaling: Scaling, omega: np.ndarray) -> list[_RowFit
 
 
 def _recovery(loop: FrozenLoop, a: np.ndarray, B: np.ndarray, u_max: np.ndarray, z: np.ndarray) -> np.ndarray:
-    """L (n_u, n, n_u) at one speed; see the module's docstring.
+    """Compute the anti-windup gain L (n_u, n, n_u) at one speed; see the module's docstring.
 
-    B is (n_u, n, 1 + n_y), whose reference column is ignored; u_max (n_u,).
+    The reference column of B (n_u, n, 1 + n_y) is not used. u_max is (n_u,).
     """
     A_p, B_p, C_p = loop.vehicle.A, loop.vehicle.B, loop.vehicle.C
     eye, n_u = np.eye(len(A_p)), len(u_max)
@@ -225,7 +222,7 @@ def _recovery(loop: FrozenLoop, a: np.ndarray, B: np.ndarray, u_max: np.ndarray,
     recovery = -shown @ np.linalg.solve(
         z[:, None, None] * eye - A_p + B_p @ F, np.broadcast_to(B_p, (len(z), *B_p.shape))
     )
-    # Under limits L scales the demand by (1 + recovery)^-1, which weights a deviation.
+    # At its limits, the demand is scaled by (1 + recovery)^-1. The same factor weights a deviation.
     weight = np.linalg.norm(np.linalg.inv(np.eye(n_u) + recovery), axis=1)
     L = np.empty((n_u, len(a), n_u))
     for i in range(n_u):

@@ -1,8 +1,7 @@
-"""Largest rate of a varying Delta at every node, and the rates that the frames of its bounds leave hidden
-(THEORY 7.11).
+"""Largest proved rate of a varying Delta at every node, and the rates that frames cannot show (THEORY 7.11).
 
-At a rate r [1/s], Delta changes in gain by at most r Ts from one sample to the next. Delta is any causal
-linear system of gain 1. The speed is frozen.
+Delta is any causal linear system of gain 1. At a rate r [1/s], it changes from one sample to the next by a
+system of gain at most r Ts. The speed is frozen.
 """
 
 from collections.abc import Iterator
@@ -25,17 +24,16 @@ from .plants import DesignProblem
 LEVEL_RTOL = 1e-4
 """Largest relative difference between a stated level and the one proved again."""
 FULL_SWING = 2.0
-"""Change in gain of a Delta of size 1 that changes its sign."""
+"""Change of a Delta of size 1 that changes its sign."""
 
 
 @dataclass(frozen=True)
 class NodeSlowness:
-    """One node, ``v_mps``.
+    """Proved rates at one node.
 
-    performance_rate [1/s]: largest rate with a gain below 1, by ``performance_constants`` and
-    ``performance_level``. stability_rate [1/s]: largest rate with a stable loop, by ``stability_constants``
-    and ``stability_level``. Rate None with a level below 1 means a Delta of any rate, without D(s). A rate of
-    0 means no proof.
+    The gain is below 1 up to performance_rate [1/s]; the loop is stable up to stability_rate [1/s]. The
+    constants and the level of each rate prove it. A rate of None with a level below 1 means any rate, proved
+    without D(s). A rate of 0 means no proof.
     """
 
     v_mps: float
@@ -49,8 +47,11 @@ class NodeSlowness:
 
 @dataclass(frozen=True)
 class Slowness:
-    """``nodes``; ``hidden_slow``, ``hidden_fast`` [1/s]: rates of a sign change within the longest and
-    shortest frame."""
+    """Proved rates of all nodes, and the rates that frames cannot show.
+
+    ``hidden_slow`` and ``hidden_fast`` [1/s] are the rates of a sign change within the longest and the
+    shortest frame.
+    """
 
     nodes: tuple[NodeSlowness, ...]
     hidden_slow: float
@@ -63,7 +64,7 @@ class Slowness:
 
     @property
     def stability_rate(self) -> float | None:
-        """Rate [1/s] proved at every node; None: any."""
+        """Rate [1/s] proved at every node; None: any rate."""
         return min((n.stability_rate for n in self.nodes if n.stability_rate is not None), default=None)
 
     def to_dict(self) -> dict:
@@ -87,8 +88,10 @@ def slowness(
     progress: Progress = lambda _: None,
     workers: Map = map,
 ) -> Slowness | None:
-    """Rates of every node by the stored scaling D(s), shared by ``workers``; None for a design without
-    Delta."""
+    """Compute the rates of every node with the stored scaling D(s); None for a design without Delta.
+
+    ``workers`` share the nodes.
+    """
     if not len(scaling.log_parameters):
         return None
     nodes = workers(partial(_node, scaling), _closed(problem, schedule))
@@ -137,10 +140,9 @@ def require_slowness(
     progress: Progress = lambda _: None,
     workers: Map = map,
 ) -> None:
-    """Raise InputError unless the constants of ``stated`` (certificates.slow_delta of ``path``) prove its
-    rates.
+    """Raise InputError unless the constants in ``stated`` prove the rates in ``stated``.
 
-    None claims nothing. ``workers`` share the nodes.
+    ``stated`` is certificates.slow_delta of ``path``; None claims nothing. ``workers`` share the nodes.
     """
     if stated is None:
         return
@@ -201,7 +203,7 @@ def _require_node(
 def _closed(
     problem: DesignProblem, schedule: Scheduled
 ) -> Iterator[tuple[float, GeneralisedPlant, StateSpace]]:
-    """Speed, generalised plant and controller of each node."""
+    """Yield the speed, the generalised plant and the controller of each node."""
     for v in map(float, schedule.speeds):
         yield v, problem.plant(v), schedule.at(v)
 
@@ -209,7 +211,7 @@ def _closed(
 def _loops(
     plant: GeneralisedPlant, K: StateSpace, scaling: Scaling
 ) -> tuple[tuple[SlowLoop, SlowLoop], SlowLoop]:
-    """Loops with D(s) for performance and for stability, and without D(s) for stability."""
+    """Make the loops with D(s) for performance and for stability, and the loop without D(s) for stability."""
     constant = Scaling(scaling.log_parameters[:, :1])
     with_D = SlowLoop(plant, K, scaling, True), SlowLoop(plant, K, scaling, False)
     return with_D, SlowLoop(plant, K, constant, False)

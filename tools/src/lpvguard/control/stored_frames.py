@@ -1,15 +1,15 @@
-"""Bounds and weights from few frames, quick enough for a search over trade-offs.
+"""Compute bounds and weights from few frames, quickly enough for a search over trade-offs.
 
-A frame decides when no other frame of the bin exceeds it in B1, |Z| and |delta0| at once. The rule of gamma_w
-(T8) and nu (T5) grow with each of the three. Their maxima over the deciding frames are therefore those over
-all frames. Deciding frames come from every start sample of the drives that set the bounds. Frames within NEAR
-of a kept one are left out. Without the drives the stored sample of ``spectra.npz`` replaces them. It holds
-per bin the frames of largest |E| and a draw, on the core's grid. The largest |w_j| over the sample and these
-frames only approximate their bounds. The result serves to choose a trade-off. `identify` computes the bounds
-for that choice.
+A frame is deciding if no other frame of its bin exceeds it in B1, |Z| and |delta0| at once. The rule of
+gamma_w (T8) and nu (T5) increase with each of the three. Their maxima over the deciding frames are therefore
+their maxima over all frames. Deciding frames start at every sample of the drives that set the bounds. Frames
+within NEAR of a kept frame are left out. Without the drives, the sample of frames in ``spectra.npz`` is used.
+For each bin, this sample holds the frames of largest |E| and some random ones, on the core's grid. The
+largest |w_j| over the sample and the deciding frames only approximates its bound. The result serves to choose
+a trade-off. `identify` then computes the bounds for that choice.
 
-Class S2 (paper, K_is) needs u and the nominal state of a frame. They are taken from Z through the frozen
-model at the frame's mean speed: u is the least-squares input behind Z, and ``x_nom = (zI - A_d)^-1 B_d u``.
+Class S2 (paper, K_is) needs the input u and the nominal state of a frame. The frozen model at the frame's
+mean speed gives both from Z. u is the least-squares input that yields Z, and ``x_nom = (zI - A_d)^-1 B_d u``.
 """
 
 from dataclasses import dataclass
@@ -36,18 +36,18 @@ NEAR = 0.02
 
 @dataclass(frozen=True)
 class Split:
-    """Error of every stored frame divided among uncertainty and disturbance, as maxima per bin.
+    """Largest uncertainty and disturbance of each bin that explain the errors of its frames.
 
-    Values are NaN where there is no frame.
+    Values are NaN in a bin without frames.
 
     Attributes
     ----------
     gamma_w : ndarray (K,)
     nu_i : ndarray (K,), input-multiplicative uncertainty
-    nu_s : ndarray (K,) or None, 1/s, uncertainty on the state; None in class S1
-    B_w : ndarray (K, n_y), disturbance, jointly covering where the project requires it
+    nu_s : ndarray (K,) or None, 1/s, uncertainty of the state; None in class S1
+    B_w : ndarray (K, n_y), disturbance; it covers all outputs jointly if the project requires it
     at_cap : int
-        Number of frames whose best nu_s was the well-posedness cap. They are explained by nu_i alone.
+        Number of frames whose best nu_s reached the well-posedness limit. nu_i alone explains these frames.
     """
 
     gamma_w: np.ndarray
@@ -59,7 +59,7 @@ class Split:
 
 @dataclass(frozen=True)
 class SplitWeights:
-    """Weights that steps 6 and 7 fit above a Split; W_delta_s is None in class S1."""
+    """Weights that steps 6 and 7 fit to a Split; W_delta_s is None in class S1."""
 
     W_w: list[FittedWeight]
     W_delta_i: FittedWeight
@@ -67,7 +67,7 @@ class SplitWeights:
 
 
 class StoredFrames:
-    """Frames of the bound-setting drives: the stored sample, with the drives also the deciding frames.
+    """Frames of the drives that set the bounds: the stored sample and, with drives, the deciding frames.
 
     Parameters
     ----------
@@ -124,22 +124,24 @@ class StoredFrames:
         self.sets, self.speeds = map(list, zip(*sets_and_speeds, strict=True))
 
     def gamma_rule(self, ceiling: np.ndarray) -> np.ndarray:
-        """Step 4 before smoothing, (K,), for a ceiling (K,) on nu."""
+        """Compute gamma_w (K,) of step 4 before smoothing, for a ceiling (K,) on nu."""
         return reduce_disturbance(self.sets, self.estimator, ceiling, self.project.n_y)["gamma_rule"]
 
     def smooth(self, rule: np.ndarray) -> np.ndarray:
-        """gamma_w (K,): the overbounding weight above the rule, at the bins."""
+        """Compute gamma_w (K,): the magnitude, at the bins, of a smooth weight above the rule."""
         floor = smallest_disturbance(self.stored.bounds["B2"])
         return fit_bound(self.project, self.estimator, rule, "gamma_w", floor).magnitude(self.estimator.omega)
 
     def explain(self, gamma_w: np.ndarray) -> Split:
-        """Class S1: least nu_i given gamma_w (K,)."""
+        """Find the least nu_i of class S1 for gamma_w (K,)."""
         nu, w = zip(*(explain(s, self.estimator, gamma_w, "S1") for s in self.sets), strict=True)
         return Split(gamma_w, np.array([_largest(n) for n in nu]), None, self._disturbance(w))
 
     def explain_with_state(self, gamma_w: np.ndarray, lambda_s: float) -> Split:
-        """Class S2: min nu_i^2 + lambda_s nu_s^2 given gamma_w (K,); lambda_s in s^2 (Lambda_nu = diag(1,
-        lambda_s))."""
+        """Minimise nu_i^2 + lambda_s nu_s^2 of class S2 for gamma_w (K,).
+
+        lambda_s [s^2] is the second entry of Lambda_nu = diag(1, lambda_s).
+        """
         nu_i, nu_s, all_w, at_cap = [], [], [], 0
         for s, v in zip(self.sets, self.speeds, strict=True):
             nu, w = explain(s, self.estimator, gamma_w, "S1")
@@ -151,8 +153,8 @@ class StoredFrames:
                     s.E[needing], u, x_nom, h_i, h_s, self.model.C, gamma_w[s.bin], 1.0, lambda_s
                 )
                 at_cap += int(np.count_nonzero(split.at_cap))
-                # S1 is S2 with nu_s = 0: it stays where it explains the frame at less, as where Z is far from
-                # a frozen response.
+                # S1 is S2 with nu_s = 0. It is kept where it has the lower cost, for example where Z is far
+                # from a frozen response.
                 good = ~split.at_cap & (split.upper <= nu[needing] ** 2)
                 nu[needing[good]], state[needing[good]], w[needing[good]] = (
                     split.nu_i[good],
@@ -165,7 +167,7 @@ class StoredFrames:
         return Split(gamma_w, np.array(nu_i), np.array(nu_s), self._disturbance(all_w), at_cap)
 
     def weights(self, split: Split) -> SplitWeights:
-        """Weights of steps 6 and 7."""
+        """Fit the weights of steps 6 and 7."""
         project, estimator, fitted = self.project, self.estimator, self.stored.fitted
         floor = smallest_disturbance(self.stored.bounds["B2"])
         B_w = [
@@ -176,8 +178,8 @@ class StoredFrames:
         error, nu_s = self.stored.model_error, split.nu_s
         state = None
         if nu_s is not None:
-            # In 1/s, and beside W_delta_i, which covers the model error: what the frames ask for, and no dip
-            # where none happened to need it.
+            # W_delta_s is in 1/s. W_delta_i already covers the model error. W_delta_s covers what the frames
+            # need, without a dip at bins that need nothing.
             known = np.where(estimator.cycles > 0, np.fmax.accumulate(np.nan_to_num(nu_s)), np.nan)
             state = fit_bound(project, estimator, known, "W_delta_s", SMALLEST_NU)
         return SplitWeights(
@@ -189,7 +191,7 @@ class StoredFrames:
         )
 
     def _disturbance(self, w) -> np.ndarray:
-        """B_w (K, n_y) over the disturbances of all frames, a list over bins of (F, n_y)."""
+        """Compute B_w (K, n_y) from the disturbances of all frames: ``w`` holds one (F, n_y) for each bin."""
         B_w = np.array(
             [_largest(np.abs(one)) if len(one) else np.full(self.project.n_y, np.nan) for one in w]
         )
@@ -201,13 +203,13 @@ class StoredFrames:
         return B_w
 
     def _behind(self, Z, v, omega):
-        """Input u (F,) after the delay, x_nom (F, n), h_i (F, n) and h_s (F, n, n) behind frames.
+        """Compute the input u (F,) after the delay, x_nom (F, n), h_i (F, n) and h_s (F, n, n) of frames.
 
-        The frames have speeds v (F,) in a bin at ``omega`` [rad/s].
+        v (F,) [m/s] are the frames' speeds. ``omega`` [rad/s] is the frequency of their bin.
         """
         speeds, index = np.unique(
             np.round(v, 2), return_inverse=True
-        )  # 1 cm/s moves no entry by more than 1e-3
+        )  # 1 cm/s changes no entry by more than 1e-3
         A, B = self.model.matrices(np.clip(speeds, *self.model.speed_range))
         n, Ts, z = self.model.n, self.project.Ts_s, np.exp(1j * omega * self.project.Ts_s)
         augmented = np.zeros((len(A), 2 * n, 2 * n))
@@ -223,12 +225,16 @@ class StoredFrames:
 
 
 def deciding(E: np.ndarray, Z: np.ndarray) -> np.ndarray:
-    """Indices of deciding frames of E, Z (F, n_y). Every frame has B1, |Z| and |delta0| at most 1 + NEAR
-    times those of one of them."""
+    """Return the indices of the deciding frames of E, Z (F, n_y).
+
+    For every frame there is a deciding frame d. The frame's B1, |Z| and |delta0| are at most 1 + NEAR times
+    those of d.
+    """
     size = np.linalg.norm(E, axis=1)
     values = (s1.solve(E, Z, size).b1, np.linalg.norm(Z, axis=1), np.abs(s1.least_squares_delta(E, Z)))
     with np.errstate(divide="ignore"):
-        # Steps of a factor 1 + NEAR: a frame with no smaller step in all three is large enough for another.
+        # Values are rounded to steps of a factor 1 + NEAR. A frame replaces another frame if none of its
+        # three steps is smaller.
         steps = [np.unique(np.floor(np.log(x) / np.log1p(NEAR)), return_inverse=True)[1] for x in values]
     i, j, k = steps
     highest = np.full((i.max(initial=0) + 2, j.max(initial=0) + 2), -1)

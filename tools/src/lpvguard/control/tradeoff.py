@@ -1,16 +1,15 @@
-"""`lpvguard design --tradeoff`: the ceiling on nu (and with it gamma_w) and the Lambda_nu of least worst mu.
+"""`lpvguard design --tradeoff`: search the ceiling on nu and the Lambda_nu with the least worst mu.
 
 A candidate is a ceiling nu_bar(omega) and a structure. The ceiling is linear over log omega between levels at
 the lowest and the highest bin. The structure is K_i (class S1), or K_is (class S2) with Lambda_nu = diag(1,
-lambda_s). Step 4 gives its gamma_w, steps 5 to 7 its weights, from few frames (stored_frames.py). Its measure
-is the optimum over speeds under the best common D (engine/synthesis/scheduling.py). This is an upper bound of
-the worst mu of the best frozen controllers, and the level that `design` starts from. The floor
-(engine/synthesis/limits.py) costs a hundredth of that and bounds every controller from below. A candidate
-whose floor is not below the best measure is not synthesised.
+lambda_s). Step 4 gives gamma_w of a candidate, and steps 5 to 7 give its weights, from few frames
+(stored_frames.py). The level of a candidate is the optimum over speeds with the best common D
+(engine/synthesis/scheduling.py). The level is an upper bound of the worst mu of the best frozen controllers,
+and `design` starts from it. The floor (engine/synthesis/limits.py) is a lower bound for every controller, at
+a hundredth of the cost. A candidate is not synthesised if its floor is not below the best level so far.
 
-The search tries uniform ceilings for both structures (the front), then steps of the two levels and of
-lambda_s from the best. Its size is fixed, so the same input gives the same bytes. The project's own ceiling
-is always among the candidates.
+The search first tries uniform ceilings for both structures (the front). From the best candidate, it then
+changes the two ends of the ceiling and lambda_s in steps. The project's own ceiling is always a candidate.
 """
 
 from __future__ import annotations
@@ -34,20 +33,21 @@ from .stored_frames import Split, SplitWeights
 LEVELS = (0.05, 0.1, 0.2, 0.35, 0.6)
 """Uniform ceilings of the front."""
 LARGEST_LEVEL = 0.9
-"""Largest level: at 1 the model is uninformative about the response."""
+"""Largest ceiling. At nu = 1 the model says nothing about the response."""
 LEVEL_STEP, LAMBDA_STEP = 1.6, 4.0
 AS_GOOD = 1e-3
-"""Relative difference of levels that does not count; a floor within ten times that is reached."""
+"""Relative difference of levels that is ignored. A floor within ten times this difference counts as
+reached."""
 ROUNDS = 2
 MOST_CANDIDATES = 2 * (1 + len(LEVELS)) + ROUNDS * 6
-"""Most sweeps over the candidate's numbers after the front."""
+"""Largest number of passes over the candidate's numbers after the front."""
 
 
 @dataclass(frozen=True)
 class Candidate:
-    """A candidate: ceiling ``low`` at the lowest bin, ``high`` at the highest, linear over log omega between.
+    """Candidate with a ceiling ``low`` at the lowest bin and ``high`` at the highest, linear over log omega.
 
-    ``lambda_s`` [s^2], None: K_i. ``own``: the project's ceiling instead.
+    ``lambda_s`` [s^2] is None for K_i. With ``own`` the candidate has the project's ceiling.
     """
 
     low: float
@@ -62,13 +62,13 @@ class Candidate:
 
     @property
     def key(self) -> tuple:
-        """Key that ignores rounding."""
+        """Key for comparison that ignores rounding."""
         return (*np.round([self.low, self.high, self.lambda_s or 0.0], 9), self.own)
 
     def moved(self, name: str, factor: float) -> Candidate | None:
-        """The candidate with the number ``name`` (low, high or lambda_s) times ``factor``; None without it.
+        """Multiply the number ``name`` (low, high or lambda_s) by ``factor``; None if the candidate lacks it.
 
-        A level stays at most LARGEST_LEVEL.
+        Each end of the ceiling is at most LARGEST_LEVEL.
         """
         value = getattr(self, name)
         if value is None:
@@ -79,9 +79,9 @@ class Candidate:
 
 @dataclass(frozen=True)
 class Outcome:
-    """A candidate's ceiling and split (K,), floor, and ``level``, the optimum over speeds.
+    """Ceiling (K,), split (K,), floor and level of a candidate; the level is the optimum over speeds.
 
-    The level is None when the floor decided.
+    The level is None if the floor already excludes the candidate.
     """
 
     candidate: Candidate
@@ -111,7 +111,7 @@ class Outcome:
 
 @dataclass(frozen=True)
 class Measured(Outcome):
-    """Outcome of a synthesised candidate: its level and the scaling that gives it."""
+    """Outcome of a synthesised candidate, with its level and its scaling."""
 
     level: float
     scaling: Scaling
@@ -125,9 +125,9 @@ class TradeOff:
     ----------
     problem : FrozenProblem
     outcomes : list of Outcome, in the order tried
-    best, own : Measured, the best one, and the project's setting
-    limit : dict, limit of the best in numbers
-    sentence : str, the same in words
+    best, own : Measured, the best candidate and the project's setting
+    limit : dict, numbers that describe what limits the best candidate
+    sentence : str, the limit in words
     """
 
     problem: FrozenProblem
@@ -138,7 +138,7 @@ class TradeOff:
     sentence: str
 
     def files(self) -> dict[str, str]:
-        """tradeoff.json and .csv."""
+        """Make tradeoff.json and tradeoff.csv."""
         rows = [o.to_dict() for o in self.outcomes]
         document = {
             "kind": "tradeoff",
@@ -171,7 +171,7 @@ class TradeOff:
         return {"tradeoff.json": artefacts.to_json(document), "tradeoff.csv": to_csv(rows)}
 
     def setting(self) -> dict:
-        """Setting for the project file."""
+        """Best setting, for the project file."""
         omega = self.problem.frames.estimator.omega
         own = self.problem.stored.project.bounds.nu_ceiling
         ceiling = own if self.best.candidate.own else between(self.best.candidate, omega)
@@ -181,7 +181,7 @@ class TradeOff:
 
 
 def between(c: Candidate, omega: np.ndarray) -> NuCeiling:
-    """Ceiling of a candidate for a project file, over the bins omega (K,) [rad/s]."""
+    """Ceiling of a candidate in the form of the project file, over the bins omega (K,) [rad/s]."""
     return NuCeiling(f_hz=[float(f"{w / (2 * np.pi):.6g}") for w in omega[[1, -1]]], nu=[c.low, c.high])
 
 
@@ -192,7 +192,7 @@ def speeds(problem: FrozenProblem) -> list[float]:
 
 
 class _Search:
-    """The tried candidates: ``outcomes`` in order, ``made`` the synthesised ones."""
+    """Search with all tried candidates in ``outcomes`` and the synthesised ones in ``made``."""
 
     def __init__(self, problem: FrozenProblem, progress: Progress):
         self.problem, self.progress, self.frames = problem, progress, problem.frames
@@ -201,7 +201,7 @@ class _Search:
         self.known: dict[tuple, Outcome] = {}
 
     def best(self) -> Measured:
-        """The least level, or the first tried that is as good: K_i before K_is. The front must have run."""
+        """First candidate with the least level (K_i is tried before K_is); call `front` first."""
         least = min(o.level for o in self.made)
         return next(o for o in self.made if o.level <= least * (1 + AS_GOOD))
 
@@ -229,7 +229,7 @@ class _Search:
         )
 
     def posed(self, c: Candidate) -> tuple[Outcome, list[GeneralisedPlant]]:
-        """The candidate's split and floor, and its plants over speed, without synthesis."""
+        """Compute the candidate's split and floor, and its plants over speed, without synthesis."""
         n = len(self.outcomes)
         text = f"candidate {n + 1}: {c.structure}, ceiling {c.low:.3g} to {c.high:.3g}"
         text += "" if c.lambda_s is None else f", lambda_s {c.lambda_s:.3g}"
@@ -242,8 +242,10 @@ class _Search:
     def synthesised(
         self, outcome: Outcome, plants: list[GeneralisedPlant], start: Scaling | None
     ) -> Measured:
-        """The outcome with its level. ``start`` starts the search for the scaling (None: D-K at the design
-        speed)."""
+        """Add the level to an outcome by synthesis.
+
+        ``start`` starts the search for the scaling. With None, D-K iteration at the design speed starts it.
+        """
         middle = plants[speeds(self.problem).index(self.problem.settings.design_speed_mps)]
         start = start or dk_synthesis(middle, iterations=3, polish=0).performance.scaling
         scaling, level = common_scaling(plants, start)
@@ -254,7 +256,7 @@ class _Search:
         return made
 
     def tried(self, c: Candidate, start: Scaling) -> Outcome:
-        """Outcome of a candidate, known or new; synthesised only where its floor is below the best level."""
+        """Return the outcome of a candidate; synthesise only if its floor is below the best level."""
         if c.key in self.known:
             return self.known[c.key]
         outcome, plants = self.posed(c)
@@ -265,7 +267,7 @@ class _Search:
         return outcome
 
     def front(self) -> None:
-        """Try uniform ceilings, each starting from its neighbour's scaling."""
+        """Try uniform ceilings. The scaling of the previous ceiling starts the next search."""
         low, high = self.problem.stored.bounds["nu_ceiling"][[1, -1]].tolist()
         for lambda_s in (None, self.problem.settings.lambda_s):
             made = self.synthesised(*self.posed(Candidate(low, high, lambda_s, own=True)), None)
@@ -273,7 +275,7 @@ class _Search:
                 made = self.synthesised(*self.posed(Candidate(level, level, lambda_s)), made.scaling)
 
     def refine(self) -> None:
-        """Try steps of one number at a time from the best so far."""
+        """Change one number of the best candidate at a time, while this improves the level."""
         for _ in range(ROUNDS):
             before = self.best()
             for move, step in (("low", LEVEL_STEP), ("high", LEVEL_STEP), ("lambda_s", LAMBDA_STEP)):
@@ -309,7 +311,7 @@ def search(problem: FrozenProblem, progress: Progress = lambda _: None) -> Trade
 
 
 def _limit(run: _Search, best: Measured) -> dict:
-    """Limit of the best candidate: speed, and shares of signals in the worst vectors at the peak of mu."""
+    """Describe what limits the best candidate: the speed, and the share of each signal at the peak of mu."""
     plants = run.plants(best.candidate, run.frames.weights(best.split))
     made = [dk_synthesis(plant, iterations=2, polish=0, start=best.scaling) for plant in plants]
     k = int(np.argmax([result.performance.upper for result in made]))

@@ -1,12 +1,12 @@
-"""True and promised margins of the loop at a speed and an amplitude of the demand (THEORY 7.5).
+"""True and promised margins of the loop at one speed and one amplitude of the demand (THEORY 7.5).
 
-True: the loop closed around a measured response, with the controller at that speed. Promised: the least
-margins over all certified loops, the nominal model with |delta| <= W_delta. W_delta is taken at (2/Ts)
-tan(omega Ts/2), as in Tustin's map of the plant.
+True margins are those of the controller with a measured response of the vehicle. Promised margins are the
+least margins over all certified loops: the nominal model with |delta| <= W_delta. W_delta is evaluated at
+(2/Ts) tan(omega Ts/2), as in Tustin's map of the plant.
 
-A measured response goes from the demand of a sample to the outputs at the sample instants, before the demand
-changes. It contains hold, actuator delay and actuator lag. The controller's one sample of delay is in the
-controller (``Scheduled`` is strictly proper), so the loop has each delay once.
+A measured response goes from the demand of a sample to the outputs at the sample instants, just before the
+demand changes. It contains hold, actuator delay and actuator lag. The controller contains its own sample of
+delay (``Scheduled`` is strictly proper). The loop therefore has each delay once.
 """
 
 from collections.abc import Sequence
@@ -25,11 +25,10 @@ from .input_limit import turning_limit
 from .plants import design_settings
 
 LATERAL_ACCELERATION_MAX = 4.0
-"""[m/s^2] Largest predicted steady value; above it tyres are not nearly linear, and roads are not driven
-so."""
+"""[m/s^2] Largest predicted steady lateral acceleration. Above it tyres are not nearly linear."""
 PROMISED_GRID = 400
 LAST = 1 - 1e-6
-"""Last frequency of the promise, as a share of half the sampling frequency."""
+"""Highest frequency of the promise, as a share of half the sampling frequency."""
 
 
 @dataclass(frozen=True)
@@ -39,7 +38,7 @@ class MeasuredResponse:
     Attributes
     ----------
     v : float, m/s
-    asked, amplitude : float, wanted and driven amplitude of the demand [input unit]
+    asked, amplitude : float, requested and actual amplitude of the demand [input unit]
     omega : ndarray (K,), rad/s
     G : ndarray (K, n_y) of complex, outputs per demand
     """
@@ -53,7 +52,7 @@ class MeasuredResponse:
 
 @dataclass(frozen=True)
 class Deviation:
-    """Largest |delta_j| / W_delta of an ``output`` at ``omega`` [rad/s], with ``delta`` = |G_j/P_j - 1|."""
+    """Largest |delta_j| / W_delta of output j, at ``omega`` [rad/s]; ``delta`` is |G_j/P_j - 1|."""
 
     output: str
     omega: float
@@ -62,7 +61,7 @@ class Deviation:
 
     @property
     def ratio(self) -> float:
-        """|delta| / W_delta; above 1 the truck is not in the certified set."""
+        """|delta| / W_delta; above 1 the vehicle is not in the certified set."""
         return self.delta / self.W_delta
 
 
@@ -75,7 +74,7 @@ class TrueLoop:
     v : float, m/s
     asked, amplitude : float, as in ``MeasuredResponse``
     margins : LoopMargins
-    deviations : tuple of Deviation, one an output
+    deviations : tuple of Deviation, one for each output
     """
 
     v: float
@@ -95,7 +94,7 @@ def require_certified_by_W_delta(stored: StoredIdentification) -> None:
     Raises
     ------
     InputError
-        If it is another one.
+        If the structure is another one.
     """
     structure = design_settings(stored).structure
     if structure not in ("K_i", "K_o"):
@@ -108,7 +107,7 @@ def require_certified_by_W_delta(stored: StoredIdentification) -> None:
 
 
 def certified_weight(fitted: Weights, Ts: float, omega: np.ndarray) -> np.ndarray:
-    """Compute W_delta as in the certificate of a sampled loop.
+    """Compute W_delta as the certificate of a sampled loop uses it.
 
     Parameters
     ----------
@@ -124,10 +123,9 @@ def certified_weight(fitted: Weights, Ts: float, omega: np.ndarray) -> np.ndarra
 
 
 def within_use(model: NominalModel, v: float, amplitudes: Sequence[float]) -> list[float]:
-    """Reduce amplitudes of the demand to the edge of use.
+    """Reduce amplitudes u of the demand so that the lateral acceleration is at most LATERAL_ACCELERATION_MAX.
 
-    There the predicted steady lateral acceleration v |G_r(0)| u is LATERAL_ACCELERATION_MAX; the yaw rate r
-    is the first output.
+    The predicted steady lateral acceleration is v |G_r(0)| u. The yaw rate r is the first output.
 
     Parameters
     ----------
@@ -170,7 +168,8 @@ def deviations(
 class CertifiedLoop:
     """Nominal loop of a design with its uncertainty weight.
 
-    Negative feedback: L_j = -K_j P_j for output j, L their sum, broken at the vehicle's input.
+    The loop is broken at the vehicle's input, with negative feedback. L is the sum of L_j = -K_j P_j over the
+    outputs j.
 
     Parameters
     ----------
@@ -190,7 +189,7 @@ class CertifiedLoop:
         self.outputs = [signal.name for signal in stored.project.outputs]
 
     def amplitudes(self, v: float, amplitudes: Sequence[float]) -> list[float]:
-        """Each of ``amplitudes``, reduced to the edge of use."""
+        """Reduce ``amplitudes`` as `within_use` does."""
         return within_use(self.model, v, amplitudes)
 
     def W_delta(self, omega: np.ndarray) -> np.ndarray:
@@ -201,7 +200,7 @@ class CertifiedLoop:
         return certified_weight(self.stored.fitted, self.model.Ts, omega)
 
     def promised(self, v: float) -> LoopMargins | None:
-        """Least margins over every vehicle within W_delta at speed ``v`` [m/s]; None if one is unstable."""
+        """Least margins over all vehicles within W_delta at speed ``v`` [m/s]; None if a loop is unstable."""
         K = self._controller(v)
         last = LAST * np.pi / self.model.Ts
 
@@ -216,10 +215,10 @@ class CertifiedLoop:
         return guaranteed(lambda omega: parts(omega).sum(axis=1), radius, grid)
 
     def true(self, measured: MeasuredResponse) -> TrueLoop:
-        """The loop around a measured response.
+        """Make the loop of the controller with a measured response.
 
-        Between its samples G/P is interpolated, and K and P are exact; below the first sample G/P is
-        constant.
+        G/P is interpolated between the measured frequencies and constant below the first one. K and P are
+        exact at every frequency.
         """
         v, omega = measured.v, measured.omega
         K = self._controller(v)
@@ -243,7 +242,7 @@ class CertifiedLoop:
         return self.model.frequency_response(omega, v)[..., 0]
 
     def _controller(self, v: float) -> StateSpace:
-        """Controller at speed v [m/s]; InputError unless it is stable, as Nyquist's count requires."""
+        """Controller at speed v [m/s]; raise InputError if it is unstable, because Nyquist's count fails."""
         K = self.schedule.at(v)
         if K.stability_margin() <= 0:
             raise InputError("controller", f"v = {v:g} m/s", "has an unstable pole", "stable poles")

@@ -1,12 +1,11 @@
 """Search for violations of a certificate at a moving speed: a gain above 1, or growth.
 
-It varies an LTI Delta within W_delta and a speed history with a stated largest |dv/dt|.
-
-Delta is an all-pass of at most first order in each scalar block, so of gain 1 at every frequency. The speed
-history is a sequence over the samples. The search climbs from triangles over the range. One simulation of the
-loop and one of its adjoint give the gain's derivative by the speed of every sample. Dynamic programming finds
-the admissible history that the derivative favours most (Frank and Wolfe 1956). A violation found is
-admissible and simulated, so it refutes. Finding none proves nothing.
+The search varies an LTI Delta within W_delta and a speed history with a stated largest |dv/dt|. Each scalar
+block of Delta is an all-pass of at most first order, so its gain is 1 at every frequency. The history holds
+one speed for each sample. The search starts from triangular histories. One simulation of the loop and one of
+its adjoint give the derivative of the gain by the speed of each sample. Dynamic programming then finds the
+admissible history with the largest predicted gain (Frank and Wolfe 1956). A violation is admissible and
+simulated, so it refutes the certificate. A search without a violation proves nothing.
 """
 
 from __future__ import annotations
@@ -22,19 +21,19 @@ from ..engine.synthesis.statespace import StateSpace, append, gain
 from ..engine.synthesis.varying import History, OverSpeed, all_pass, close, steered
 
 CORNERS = (np.inf, 0.5, 2.0, 8.0)
-"""Corner frequencies [rad/s] tried for each block's all-pass; inf: a constant."""
+"""Corner frequencies [rad/s] that are tried for the all-pass of each block; inf: a constant."""
 UNIT = 0.02
-"""Largest distance of neighbouring speeds on the grid of a history [m/s]."""
+"""Largest distance between neighbouring speeds on the grid of a history [m/s]."""
 SHARES = (1.0, 0.4)
-"""Steps towards the history that the derivative favours, tried in turn."""
+"""Step sizes towards the history with the largest predicted gain, in the order of trial."""
 QUICK, WHOLE = 3, 8
-"""Steps of the bidiagonal iteration while searching, and at the end."""
+"""Steps of the bidiagonal iteration during the search, and at its end."""
 ROUNDS = 3
-"""Number of rounds of Delta and speeds, and of steps of the speeds."""
+"""Number of rounds over Delta and speeds, and number of speed steps in a round."""
 DRAWN = 12
-"""Number of Delta drawn for the triangles."""
+"""Number of random Delta that are tried with the triangles."""
 LADDER, PRECISION = 4.0, 1.3
-"""Factors between tried rates: at first, and at the end."""
+"""Factor between tried rates at first, and factor at which the search stops."""
 
 
 @dataclass(frozen=True)
@@ -43,8 +42,8 @@ class Loop:
 
     Attributes
     ----------
-    over : OverSpeed, with the channels of Delta first
-    blocks : int, scalar blocks of Delta
+    over : OverSpeed, whose first channels are those of Delta
+    blocks : int, number of scalar blocks of Delta
     Ts : float, s
     """
 
@@ -54,7 +53,7 @@ class Loop:
 
     @property
     def inputs(self) -> int:
-        """Number of inputs when Delta is closed."""
+        """Number of inputs that remain when Delta is closed."""
         return self.over.at_nodes.shape[2] - self.over.n - self.blocks
 
     def history(self, speeds: np.ndarray, delta: StateSpace) -> History:
@@ -64,7 +63,7 @@ class Loop:
         return History(S, index, self.over.n + delta.order)
 
     def delta(self, corners: Sequence[tuple[float, float]]) -> StateSpace:
-        """All-passes side by side, (sign, corner [rad/s]) each."""
+        """Make a diagonal Delta of all-passes, each from its (sign, corner [rad/s])."""
         if not corners:
             return gain(np.zeros((0, 0)), self.Ts)
         return append(*(all_pass(sign, corner, self.Ts) for sign, corner in corners))
@@ -77,7 +76,7 @@ class Found:
     Attributes
     ----------
     gain : float
-    corners : tuple of (sign, corner [rad/s]), one a block of Delta
+    corners : tuple of (sign, corner [rad/s]), one for each block of Delta
     speeds : ndarray (T,), m/s
     w : ndarray (T, m), the input
     """
@@ -90,13 +89,13 @@ class Found:
 
 @dataclass(frozen=True)
 class SpeedGrid:
-    """Grid of a history's speeds: low + unit i, i = 0..places − 1, up to high.
+    """Grid of the speeds of a history: low + unit i for i = 0..places − 1, up to high.
 
     Attributes
     ----------
     low, high, unit : float, m/s
     places : int
-    moves : int, largest number of steps a sample
+    moves : int, largest number of grid steps from one sample to the next
     """
 
     low: float
@@ -107,22 +106,22 @@ class SpeedGrid:
 
     @classmethod
     def for_rate(cls, low: float, high: float, rate: float, Ts: float) -> SpeedGrid:
-        """Grid from low to high [m/s] for |dv/dt| <= rate [m/s^2]."""
+        """Make a grid from low to high [m/s] for |dv/dt| <= rate [m/s^2]."""
         moves = max(1, int(np.ceil(rate * Ts / UNIT)))
         unit = rate * Ts / moves
         return cls(low, high, unit, int((high - low) / unit * (1 + 1e-12)) + 1, moves)
 
     def near(self, places: np.ndarray) -> tuple[int, int]:
-        """First and last place of a window around those of a history (T,), widened by its own width."""
+        """First and last grid place of a window: a history's range, widened by its width on each side."""
         reach = self.moves * len(places) // 2
         first, last = int(np.floor(places.min())) - reach, int(np.ceil(places.max())) + reach
         return max(first, 0), min(last, self.places - 1)
 
     def speeds(self, places: np.ndarray) -> np.ndarray:
-        """Speeds (T,) [m/s] of places (T,), rounded to whole ones.
+        """Speeds (T,) [m/s] of places (T,), rounded to whole places.
 
-        Rounding half up is monotone and keeps whole differences. No sample then moves by more than ``moves``
-        unless the places do.
+        Rounding half up is monotone and keeps whole differences. If no sample of ``places`` moves by more
+        than ``moves``, the rounded history does not either.
         """
         whole = np.clip(np.floor(places + 0.5), 0, self.places - 1)
         return np.minimum(self.low + self.unit * whole, self.high)
@@ -136,7 +135,7 @@ def triangle(grid: SpeedGrid, samples: int, low: float, high: float, start: floa
     grid : SpeedGrid
     samples : int
     low, high : float, m/s
-    start : float, start as a share of the way there and back, default 0.0
+    start : float, start as a share of one period, default 0.0
 
     Returns
     -------
@@ -168,7 +167,7 @@ def sinusoid(grid: SpeedGrid, samples: int, low: float, high: float, start: floa
 
 
 def ramps(grid: SpeedGrid, samples: int, levels: np.ndarray, hold: int) -> np.ndarray:
-    """Make a speed history from level to level at the largest rate, and back again.
+    """Make a speed history that moves from level to level at the largest rate, and then back.
 
     Parameters
     ----------
@@ -191,9 +190,9 @@ def ramps(grid: SpeedGrid, samples: int, levels: np.ndarray, hold: int) -> np.nd
 
 
 def injected(family: Family) -> Family:
-    """Extend the family of Delta's channels by a pair from Delta's outputs to its inputs.
+    """Add a channel from Delta's outputs to Delta's inputs to a family.
 
-    Its gain, closed with Delta, is unbounded where the loop grows.
+    With Delta closed, the gain of this channel is unbounded if the loop grows.
 
     Parameters
     ----------
@@ -216,7 +215,7 @@ class Search:
     ----------
     loop : Loop
     samples : int, length of a history
-    seed : int, of its first input
+    seed : int, seed of the first input
     """
 
     def __init__(self, loop: Loop, samples: int, seed: int):
@@ -224,9 +223,9 @@ class Search:
         self.first = np.random.default_rng(seed).standard_normal((samples, loop.inputs))
 
     def at(self, rate: float, enough: float = np.inf, before: Found | None = None) -> Found:
-        """Largest gain found for |dv/dt| <= ``rate`` [m/s^2]; the search ends above ``enough``.
+        """Search the largest gain for |dv/dt| <= ``rate`` [m/s^2], until the gain exceeds ``enough``.
 
-        ``before`` is a result at another rate, whose Delta starts the search.
+        ``before`` is a result at another rate. Its Delta starts the search.
         """
         low, high = self.loop.over.nodes[[0, -1]]
         grid = SpeedGrid.for_rate(low, high, rate, self.loop.Ts)
@@ -247,7 +246,7 @@ class Search:
         return Found(reached, corners, speeds, w)
 
     def _other_delta(self, best: Found, enough: float) -> Found:
-        """Best of all signs and CORNERS, block by block."""
+        """Try all signs and CORNERS, block by block, and return the best result."""
         for block in range(self.loop.blocks):
             for choice in ((sign, corner) for corner in CORNERS for sign in (1.0, -1.0)):
                 if best.gain > enough:
@@ -259,7 +258,7 @@ class Search:
         return best
 
     def _other_speeds(self, best: Found, grid: SpeedGrid, enough: float) -> Found:
-        """Steps towards the history that the derivative favours, while they help."""
+        """Step towards the history with the largest predicted gain, while this increases the gain."""
         for _ in range(ROUNDS):
             if best.gain > enough:
                 return best
@@ -281,14 +280,17 @@ class Search:
         return best
 
     def _closed_derivative(self, speeds: np.ndarray, delta: StateSpace) -> np.ndarray:
-        """dS/dv of the loop with Delta closed, which is quadratic in S: a central difference is exact."""
+        """dS/dv of the loop with Delta closed, by a central difference.
+
+        The closed loop is quadratic in S, so this difference is exact.
+        """
         S, dS = self.loop.over.at(speeds), self.loop.over.derivative(speeds)
         less, more = (close(S + sign * dS, self.loop.over.n, delta) for sign in (-1.0, 1.0))
         return 0.5 * (more - less)
 
 
 def closed_period(grid: SpeedGrid, speeds: np.ndarray) -> np.ndarray:
-    """Close a history to one period: it returns to its first speed at the largest rate.
+    """Extend a history to one period: at its end, it returns to its first speed at the largest rate.
 
     Parameters
     ----------
@@ -305,10 +307,9 @@ def closed_period(grid: SpeedGrid, speeds: np.ndarray) -> np.ndarray:
 
 
 def fastest_growth(loop: Loop, rate: float, samples: int, seed: int) -> tuple[float, np.ndarray]:
-    """Search for growth of a loop of `injected` over one period.
+    """Search the fastest growth over one period, for a loop of `injected`.
 
-    It tries the history with the largest gain from Delta's outputs, closed to a period, and triangles with
-    drawn Delta.
+    The search tries the history with the largest gain, extended to a period, and triangles with random Delta.
 
     Parameters
     ----------
@@ -319,7 +320,8 @@ def fastest_growth(loop: Loop, rate: float, samples: int, seed: int) -> tuple[fl
 
     Returns
     -------
-    tuple of float, factor a period (above 1: growth), and ndarray (T,), its period [m/s]
+    tuple of float, growth factor of one period (above 1: growth), and ndarray (T,), speeds of the period
+    [m/s]
     """
     low, high = loop.over.nodes[[0, -1]]
     grid, random = SpeedGrid.for_rate(low, high, rate, loop.Ts), np.random.default_rng(seed)
@@ -339,7 +341,7 @@ def fastest_growth(loop: Loop, rate: float, samples: int, seed: int) -> tuple[fl
 
 
 def drawn_corners(random: np.random.Generator, blocks: int) -> tuple[tuple[float, float], ...]:
-    """Draw all-passes; every third is a constant.
+    """Draw random all-passes; about every third one is a constant.
 
     Parameters
     ----------
@@ -348,7 +350,7 @@ def drawn_corners(random: np.random.Generator, blocks: int) -> tuple[tuple[float
 
     Returns
     -------
-    tuple of (sign, corner [rad/s]), corners between the outermost of CORNERS
+    tuple of (sign, corner [rad/s]); the corners lie between the least and the largest finite CORNERS
     """
     finite = [c for c in CORNERS if np.isfinite(c)]
     return tuple(
@@ -364,9 +366,9 @@ def drawn_corners(random: np.random.Generator, blocks: int) -> tuple[tuple[float
 
 @dataclass(frozen=True)
 class LeastRate:
-    """``rate``: least |dv/dt| [m/s^2] with a violation (None: none up to the largest tried).
+    """Least rate |dv/dt| with a violation, and the largest tried rate below it without one.
 
-    ``without``: largest rate tried below it without one (0: none tried).
+    ``rate`` [m/s^2] is None if no tried rate has a violation. ``without`` [m/s^2] is 0 if no rate was tried.
     """
 
     rate: float | None
@@ -376,8 +378,8 @@ class LeastRate:
 def least_violating(violates: Callable[[float], bool], largest: float, smallest: float) -> LeastRate:
     """Find the least rate with a violation.
 
-    Rates fall from the largest by LADDER while they violate. Then the ratio is halved until it is at most
-    PRECISION.
+    The search divides the rate by LADDER while there is a violation. It then bisects until the ratio of the
+    two rates is at most PRECISION.
 
     Parameters
     ----------

@@ -1,12 +1,11 @@
 """Fig. 6: controllers of Table II in the time domain, with the worst Δ of size 1 and measured signals.
 
-Signals are those of the paper (section V). r_c is the filtered yaw rate of a drive near the design speed.
-w = diag(f, 1) e is the drive's nominal error; f reduces the yaw rate's share to keep the DC disturbance
-bound. The noise is white and band-limited, of power NOISE_POWER before W_n.
-
-The controllers run with their sample of delay on the nominal vehicle at the design speed. K_inf runs without
-Δ, K_i with the worst Δ_i, K_is with the worst Δ_i and Δ_s. The lower bound of μ finds the worst Δ, a stable
-all-pass system (engine/synthesis/worst_case.py).
+The signals are those of the paper (section V). r_c is the filtered yaw rate of a drive near the design speed.
+w = diag(f, 1) e is the drive's nominal error. The factor f reduces the error of the yaw rate to its DC
+disturbance bound. The noise is white and band-limited, with power NOISE_POWER before W_n. The controllers run
+with their sample of delay on the nominal vehicle at the design speed. K_inf runs without Δ, K_i with the
+worst Δ_i, and K_is with the worst Δ_i and Δ_s. The lower bound of μ gives the worst Δ, a stable all-pass
+system (engine/synthesis/worst_case.py).
 """
 
 from dataclasses import dataclass, replace
@@ -24,17 +23,18 @@ from ..identify.identification import DriveSet
 from .frozen import FrozenProblem
 
 NOISE_POWER = 0.01
-"""Spectral density of n, so its variance is NOISE_POWER / Ts."""
+"""Spectral density of n. The variance of n is NOISE_POWER / Ts."""
 REFERENCE_CUTOFF_RAD_S = 3.0
-"""Cutoff of the zero-phase second-order filter from the measured yaw rate to r_c, about W_R's bandwidth."""
+"""Cutoff of the zero-phase second-order filter from the measured yaw rate to r_c, near the bandwidth of
+W_R."""
 SHOWN_S = 30.0
 SHOWN_STEP = 4
-"""Distance of the samples in the picture."""
+"""Time between the samples of the picture."""
 
 
 @dataclass(frozen=True)
 class WorstRun:
-    """Run of one controller: u (N,) [bar], yaw rate r (N,) [rad/s] with disturbance, rms tracking error."""
+    """Run of one controller: u (N,) [bar], disturbed yaw rate r (N,) [rad/s], and rms tracking error."""
 
     cell: Cell
     worst: WorstCase
@@ -46,9 +46,9 @@ class WorstRun:
 
 @dataclass(frozen=True)
 class WorstRuns:
-    """All runs on ``drive``; t (N,), wanted = W_R r_c (N,).
+    """All runs on ``drive``; t (N,) is the time, and wanted (N,) is W_R r_c.
 
-    ``left_out``: structures none of whose objectives has μ < 1.
+    ``left_out`` names the structures without an objective of μ < 1.
     """
 
     drive: str
@@ -59,7 +59,7 @@ class WorstRuns:
     left_out: list[str]
 
     def to_dict(self) -> dict:
-        """Thinned signals of Fig. 6, and measurements over the whole drive."""
+        """Make the thinned signals of Fig. 6 and the results over the whole drive."""
         shown = slice(0, int(SHOWN_S / (self.t[1] - self.t[0])), SHOWN_STEP)
         return {
             "drive": self.drive,
@@ -91,8 +91,10 @@ class WorstRuns:
 
 
 def nearest_drive(drives: DriveSet, speed: float) -> tuple[Drive, np.ndarray]:
-    """The drive with input and frames of mean speed nearest to ``speed`` [m/s], and its nominal error e
-    (N, 2)."""
+    """Find the drive with input whose frames' mean speed is nearest to ``speed`` [m/s].
+
+    The nominal error e (N, 2) of the drive is also returned.
+    """
     project = drives.reader.project
     best = None
     for name, experiment in drives.experiments.items():
@@ -110,7 +112,7 @@ def nearest_drive(drives: DriveSet, speed: float) -> tuple[Drive, np.ndarray]:
 
 
 def worst_runs(problem: FrozenProblem, cells: list[Cell], drives: DriveSet) -> WorstRuns:
-    """Run the first objective of each structure that is robustly met.
+    """Run, for each structure, the first objective that is robustly met.
 
     Parameters
     ----------
@@ -157,7 +159,7 @@ def _dc_bound(problem: FrozenProblem, c: Cell) -> float:
 def _run(problem: FrozenProblem, c: Cell, signals: np.ndarray, command: np.ndarray) -> WorstRun:
     weights, v = problem.weights(c.structure, c.A_t, c.A_u), problem.settings.design_speed_mps
     bins = problem.frames.estimator.omega
-    # Within the band of the data: beyond it Δ and its effect were never measured.
+    # Only frequencies within the band of the data count, because Δ was never measured beyond it.
     band = np.r_[0.0, np.geomspace(0.1 * bins[1], bins[-1], 60)]
     worst = worst_case(
         problem.plant(c.structure, weights, v), c.controller, c.result.performance.scaling, band
@@ -179,13 +181,13 @@ def _rms(x: np.ndarray) -> float:
 
 
 def _without_units(weights: PlantWeights) -> PlantWeights:
-    """Weights for physical units of w, r_c and z: z = [W_R r_c − r_m; u]."""
+    """Weights that leave w, r_c and z = [W_R r_c − r_m; u] in physical units."""
     one = gain([[1.0]])
     return replace(weights, W_C=one, W_t=one, W_u=(one,), W_w=(one, one))
 
 
 def respond(G: StateSpace, inputs: np.ndarray) -> np.ndarray:
-    """Outputs (N, p) of a discrete system from rest, for ``inputs`` (N, m)."""
+    """Simulate a discrete system from rest for ``inputs`` (N, m); return the outputs (N, p)."""
     forced, x = inputs @ G.B.T, np.zeros(G.order)
     states = np.empty((len(inputs), G.order))
     for k, step in enumerate(forced):

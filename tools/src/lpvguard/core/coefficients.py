@@ -78,10 +78,10 @@ def build_coefficients(
     estimator : Estimator
     W_delta : ndarray (K, n_delta), uncertainty weight of the frame test at the bins
     B_w : ndarray (K, n_y), disturbance weight of the frame test at the bins, units of the outputs
-    threshold : float, of the frame test
+    threshold : float, threshold of the frame test
     energy, change : TestPart, parts of the energy and the change test
     pools : TestPart, optional, bounds of pools of frames; by default there are no pools
-    certificate : tuple of both weights, optional, of the certificate set; by default the frame test's
+    certificate : tuple of both weights, optional, weights of the certificate; by default the frame test's
 
     Returns
     -------

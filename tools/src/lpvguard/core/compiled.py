@@ -49,7 +49,7 @@ def band_names(n: int) -> tuple[str, ...]:
 DIAGNOSIS_SOURCE = "lpvguard_diagnosis.c"
 """Table of the diagnosis in a generated folder, where it has one."""
 ISOLATION_SOURCE = "lpvguard_isolation.c"
-"""Table of the isolation, likewise."""
+"""Table of the isolation in a generated folder, where it has one."""
 CHANGE_PARTS = ("gain", "delay", "bias")
 """Parts of the change test's estimate, in the order of change.h."""
 
@@ -455,10 +455,10 @@ class PartLog:
 
     Attributes
     ----------
-    from_s, until_s : ndarray (W,), s, of the window
+    from_s, until_s : ndarray (W,), s, begin and end of the window
     alarmed, differs : ndarray (W,) of bool, as in isolation.h
     parts : ndarray (W,) of int, one bit for each named part
-    likeliest, size : ndarray (W,) of int, the likeliest part and which size of it
+    likeliest, size : ndarray (W,) of int, index of the likeliest part and of its size
     value, low, high : ndarray (W,), that size and its interval
     """
 
@@ -532,7 +532,7 @@ class Core:
             raise InputError(
                 folder, "", f"{', '.join(missing)} missing", "a folder written by `lpvguard export`"
             )
-        # The sources are kept, because a temporary folder may be deleted before the core is sent to a worker.
+        # The sources stay in memory, because a temporary folder may be deleted before a worker gets the core.
         self._files = tuple(
             (p.name, p.read_text(encoding="utf-8"))
             for p in sorted(self.folder.iterdir())

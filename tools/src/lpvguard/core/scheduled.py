@@ -30,7 +30,8 @@ class Scheduled:
     Ts : float, s
     speeds : ndarray (G,), m/s, equally spaced
     a : ndarray (n,)
-        First columns of the pairs in A - I, then that of a single state if n is odd; equal for every demand.
+        First columns of the pairs in A - I, then the column of a single state if n is odd; equal for every
+        demand.
     B : ndarray (G, n_u, n, 1 + n_y)
     L : ndarray (G, n_u, n, n_u)
     u_max : ndarray (G, n_u), largest |demand| [input unit]
@@ -60,8 +61,7 @@ class Scheduled:
         return self.B.shape[1] * len(self.a)
 
     def at(self, v: float) -> StateSpace:
-        """Controller of the core at speed v: interpolated float32 coefficients; A - I is computed in
-        double."""
+        """Controller of the core at speed v, with interpolated float32 coefficients and A - I in double."""
         A, C = self._constant()
         B = self._rows(self.B, v)
         return StateSpace(A, B, C, np.zeros((len(C), B.shape[1])), self.Ts)
@@ -112,9 +112,9 @@ def engagement(a: np.ndarray, B: np.ndarray) -> np.ndarray:
     """Matrix E (n, 2) that sets the demand at engagement (bumpless transfer); a (n,), B (n_u, n, m).
 
     After the change x += E (u - C x, -(C (A x + B m) - C x)) this demand and the next one equal u. The change
-    is the most likely one: it is smallest in the metric of the covariance of x. That covariance assumes white
-    m of equal size at all speeds. If no state can give both demands, the second condition is left out. Raises
-    LinAlgError unless the poles are stable.
+    is the most likely one. It is the smallest such change in the metric of the covariance of x. This
+    covariance assumes white m of equal size at all speeds. If no state can give both demands, the second
+    condition is left out. Raises LinAlgError unless the poles are stable.
     """
     A, c = realisation(a)
     if np.abs(np.linalg.eigvals(A)).max() >= 1:
@@ -124,7 +124,7 @@ def engagement(a: np.ndarray, B: np.ndarray) -> np.ndarray:
     P = sl.solve_discrete_lyapunov(A, drive @ drive.T) if size.any() else np.eye(len(a))
     M = np.vstack([c, c @ (A - np.eye(len(a)))])
     first = P @ c.T / (c @ P @ c.T)
-    rest = M[1] - M[1] @ first * c  # what the second condition needs when the first is met
+    rest = M[1] - M[1] @ first * c  # remainder of the second condition when the first one is met
     left = (rest @ P @ rest.T).item()
     if left <= 1e-9 * (M[1] @ P @ M[1]):
         return np.hstack([first, np.zeros_like(first)])

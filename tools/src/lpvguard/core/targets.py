@@ -115,7 +115,7 @@ TARGETS = {
 
 
 def missing_tools(target: Target) -> list[str]:
-    """Programs that ``run_target`` needs and that are not installed."""
+    """Programs that `run_target` needs but that are not installed."""
     tools = (
         "arm-none-eabi-gcc",
         "arm-none-eabi-g++",
@@ -288,8 +288,11 @@ def image_with_debug_information(name: str, vehicle: Path, program: Program) -> 
 
 @dataclass(frozen=True)
 class Verdicts:
-    """Verdicts of an image with only the monitor. Each drive has a list of (sample, verdict) for each change
-    of the verdict. ``rom`` is as in `run_target`; ``ram_bytes`` is the RAM of the monitor."""
+    """Verdicts of an image with only the monitor.
+
+    Each drive has a list of (sample, verdict) with the changes of the verdict. ``rom`` is as in `run_target`.
+    ``ram_bytes`` is the RAM of the monitor.
+    """
 
     changes: list[list[tuple[int, int]]]
     rom: dict[str, int]
@@ -380,7 +383,7 @@ def run_image(name: str, elf: Path, timeout_s: float = TIMEOUT_S) -> list[str]:
     """
     target = _target(name)
     command = [*_emulator(target, elf), *SEMIHOSTING]
-    # Semihosting writes to standard error; standard output is the monitor's.
+    # Semihosting writes to standard error. QEMU's monitor writes to standard output.
     try:
         done = subprocess.run(
             command,

@@ -63,8 +63,7 @@ def _outcomes(
     bank: Bank,
     item: tuple[Experiment, tuple[Key, ...]],
 ) -> Iterator[tuple[Key, Case, FaultOutcome]]:
-    """Outcomes of every fault injected into a drive, for each of the keys; empty if the drive does not
-    qualify."""
+    """Outcomes of all faults injected into a drive, by key; empty if the drive does not qualify."""
     experiment, keys = item
     drive, e, yhat = reader.read(experiment)
     Ts, thresholds = reader.project.Ts_s, dict[Baseline, list[float]]()

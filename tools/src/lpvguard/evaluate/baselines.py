@@ -280,8 +280,7 @@ class _Along:
         return self._mean_square(b.process_ratio, b.window_s)
 
     def cusum(self, b: Baseline) -> np.ndarray:
-        """max over outputs and signs of g_k = max(0, g_{k-1} +- x_k - drift), from 0 at each first usable
-        sample."""
+        """Largest g_k = max(0, g_{k-1} +- x_k - drift) of all outputs; g restarts from 0 after a gap."""
         scaled = self.e / self.bank.scales.error
         out = np.full(len(scaled), -np.inf)
         for begin, end in self.edges:
@@ -324,8 +323,7 @@ class _Along:
         return total
 
     def _over(self, total: np.ndarray, n: int) -> np.ndarray:
-        """Sums over the newest n samples (..., M), or over fewer at the start, from running sums (..., N +
-        1)."""
+        """Sums over the newest n samples (..., M), fewer at the start, from running sums (..., N + 1)."""
         begin = self.first + 1 - n
         before = total[..., max(0, begin) : max(0, total.shape[-1] - n)]
         newest = total[..., self.first + 1 :].copy()
@@ -353,8 +351,7 @@ class _Along:
         return regressors(self.yhat, self.bank.estimator.Ts)
 
     def _forgetting(self, memory_s: float) -> list[tuple[np.ndarray, np.ndarray]]:
-        """Forgetting sums of phi phi' (3, 3, M) and phi e_j (3, M) per output, from 0 at each first usable
-        sample."""
+        """Forgetting sums of phi phi' (3, 3, M) and phi e_j (3, M) by output; they restart after a gap."""
         keep, forgetting = float(np.exp(-self.bank.estimator.Ts / memory_s)), []
         for j, phi in enumerate(self._once(self._phi)):
             products = np.concatenate([phi[list(UPPER[0])] * phi[list(UPPER[1])], phi * self.e[:, j]])

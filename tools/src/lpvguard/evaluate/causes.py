@@ -66,8 +66,7 @@ class OutputCause:
 
     @property
     def held(self) -> bool | None:
-        """Tell if the interval of a right cause holds the truth; None if there is no interval or no right
-        cause."""
+        """Tell if the interval of a right cause contains the truth; None without such an interval."""
         if self.judgement != RIGHT or self.truth is None or self.low is None or self.high is None:
             return None
         return self.low <= self.truth <= self.high
@@ -93,8 +92,7 @@ class CauseOutcome:
     def from_replay(
         cls, case: Case, project: Project, clock: JudgedClock, drive: Drive, faulty: Drive, replay: Replay
     ) -> CauseOutcome:
-        """Outcome of a ``case`` from the start of ``clock`` on; ``replay`` is the replay of the ``faulty``
-        drive."""
+        """Judge a ``case`` from the start of ``clock`` on, by the ``replay`` of the ``faulty`` drive."""
         start_s = clock.first * replay.Ts
         since = [d for d in replay.diagnoses if d.alarm_s >= start_s - replay.Ts / 2]
         if not since:
@@ -154,6 +152,7 @@ def _uneven(y: np.ndarray) -> bool:
 
 def can_be_named(fault: Fault, project: Project, scales: DiagnosisScales) -> bool:
     """Return whether a fault with one cause exceeds the difference between healthy vehicles in some output.
+
     The core cannot name a smaller fault, however long the record is (DiagnosisScales.least)."""
     if fault.kind == "freeze":
         return True
@@ -204,8 +203,7 @@ def _said_other(m: CauseOutcome) -> bool:
 
 
 def _counts(members: Iterable[CauseOutcome]) -> dict:
-    """Counts of found faults, judgements, preliminary diagnoses, intervals of right causes, and intervals
-    that hold."""
+    """Counts of found faults, judgements, preliminary diagnoses, and intervals of right causes."""
     members = list(members)
     judged = Counter(m.judgement for m in members)
     held = [o.held for m in members for o in m.outputs if o.held is not None]

@@ -17,7 +17,8 @@ MONITOR = "monitor"
 POOLS = "pools"
 """Name of the frame test's pools, which have a threshold of their own."""
 LEFT_ONE_OUT, HELD_OUT = "left_one_out", "held_out"
-"""Which drives are judged: those of the identification, each without itself, or drives that it never saw."""
+"""Judged drives: those of the identification, each without itself, or drives that the identification never
+saw."""
 CALIBRATED = {LEFT_ONE_OUT: "each drive without itself", HELD_OUT: "drives that it never saw"}
 """Words for the drives that the thresholds judge."""
 TOGETHER = "all"
@@ -245,11 +246,11 @@ def duels(monitor: list[dict], baselines: list[dict]) -> list[dict]:
     ``monitor`` holds rows of fault_rows, ``baselines`` holds objects of the JSON. Keys of the result:
 
     leads       leader of a row (`ranking`): "monitor", the kind, "tie", or "nobody"
-    as_often    rows on which the monitor found as many or more
-    sooner      rows on which its median is less; a missing median counts as the latest
-    later       rows on which its median is more
+    as_often    rows on which the monitor found as many faults or more
+    sooner      rows on which the monitor's median time is less; a missing median counts as the latest
+    later       rows on which the monitor's median time is more
     precluded   missed starts at which the untouched drive alarms in the time allowed
-    behind      faults on which it found fewer, or found as many and later
+    behind      faults on which the monitor found fewer, or found as many but later
     """
     ways = list(dict.fromkeys(m["way"] for m in monitor))
     table = []

@@ -122,7 +122,7 @@ class Injection:
 
     @classmethod
     def from_settings(cls, settings: EvaluationSettings, spread: np.ndarray) -> Injection:
-        """Injection from a project file's settings and the outputs' ``spread`` (n_y,).
+        """Make the injection from a project file's settings and the outputs' ``spread`` (n_y,).
 
         Without a spread there are no further faults.
         """
@@ -301,7 +301,7 @@ def median_time(seconds: list[float | None]) -> float | None:
 
 
 def ranking(rows: dict[str, dict]) -> list[str]:
-    """Best detectors on one fault; several in a tie.
+    """List the best detectors for one fault; several detectors can be equally good.
 
     The share of found cases decides first, then the median time. The result is empty if there is no case or
     no detector found the fault. ``rows`` holds one row of fault_rows per detector.

@@ -154,7 +154,7 @@ def _identity(experiment: Experiment, recordings: Recordings) -> dict[str, str]:
 def _further_causes(
     replayer: Replayer, injection: Injection, drive: Drive, untouched: Replay
 ) -> CauseOutcomes:
-    """Causes named for the further faults that the monitor of ``replayer`` found."""
+    """Judge the named causes of the further faults that the monitor of ``replayer`` found."""
     project, Ts = replayer.project, replayer.project.Ts_s
     causes: CauseOutcomes = {case: [] for case in injection.further_cases}
     hits = alarming(untouched)
@@ -204,8 +204,7 @@ def _variance(reader: DriveReader, experiment: Experiment) -> np.ndarray:
 def _injection(
     stored: StoredIdentification, drives: DriveSet, settings: EvaluationSettings | None, workers: Map
 ) -> Injection:
-    """Injection from the settings (by default the usual ones) and the outputs' spread in bound-setting
-    drives."""
+    """Make the injection from the settings and from the outputs' spread in drives that set the bounds."""
     if settings is None:
         return Injection.usual()
     setting = [drives.experiments[n] for n in stored.manifest["drives"]["bounds"]]

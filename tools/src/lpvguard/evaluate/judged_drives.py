@@ -48,8 +48,7 @@ class JudgedDrives:
 
     @classmethod
     def left_one_out(cls, stored: StoredIdentification, drives: DriveSet) -> JudgedDrives:
-        """Judge every calibration drive by all drives of other recordings. InputError if none has a counted
-        frame."""
+        """Judge each calibration drive by drives of other recordings; InputError if no frame counts."""
         if not stored.calibration.scores:
             raise InputError(
                 stored.folder,

@@ -239,7 +239,7 @@ class RunningParts:
         changes, n_u = self._namer.changes, self._namer.project.n_u
         warm_up = start - (changes.estimator.settle + changes.ahead) * changes.project.Ts_s
         cut = int(np.searchsorted(self._rows[:, 0], warm_up))
-        # Blocks are counted from the first sample, and from that after a gap.
+        # Blocks are counted from the first sample, and again from the first sample after a gap.
         begun = next((a for a, b in runs(self._rows[:, 1] == 0) if a <= cut < b), cut)
         self._rows = self._rows[begun + max(0, (cut - begun) // changes.step - 1) * changes.step :]
         t, missing, v = self._rows[:, :3].T

@@ -123,7 +123,7 @@ class Receiver:
         fastest = min(m.period_ms for m in self.needed) * 1000
         t_us, order, jumps = _one_clock(frames.t_ns, ours, fastest)
         period = round(self.project.Ts_s * 1e6)
-        # The first sample comes after the first frame of a counted message; the time before is no gap.
+        # The first sample comes after the first frame of a counted message. The time before it is not a gap.
         first = round(int(t_us[np.flatnonzero(ours[order])[0]]) / fastest) * fastest + fastest // 2
         ticks = max(int(t_us[-1] - first) // period + 1, 1)
         running = self.running(min(int(t_us[0]), first), where)

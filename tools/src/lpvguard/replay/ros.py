@@ -66,9 +66,10 @@ def write_ros2(
     alarms: list[dict[str, Any]],
     parts: Sequence[dict[str, Any]] = (),
 ) -> None:
-    """Write a time series (series.py) to an MCAP file with ROS 2 messages. ``vehicle`` is the hardware_id of
-    the diagnostics, ``alarms`` and ``parts`` are those of the JSON of `replay`. InputError without
-    mcap-ros2-support."""
+    """Write a time series (series.py) to an MCAP file with ROS 2 messages.
+
+    ``vehicle`` is the hardware_id of the diagnostics. ``alarms`` and ``parts`` have the form of the JSON of
+    `replay`. Raises InputError if mcap-ros2-support is missing."""
     with path.open("wb") as stream:
         recorder = Ros2Recorder(stream, vehicle)
         recorder.hear(series, alarms, parts)

@@ -8,7 +8,7 @@ import numpy as np
 from ..replay.replayer import Alarm
 
 LEVEL = 0.3
-"""Gain error [-] that the first screen asks about."""
+"""Gain error [-] for which the first screen classifies the cells."""
 PROVED, BLIND, EMPTY, VIOLATED = "proved", "blind", "no_data", "violated"
 
 
@@ -23,10 +23,10 @@ class MapCell:
     omega : float, rad/s, 0 at DC
     frames : int, counted frames
     gain_error : float or None, smallest gain error that the frame test sees, at the percentile's excitation
-    strongest : float or None, the same at the strongest frame
-    limit : float or None, of a test that knows how the vehicle errs (THEORY 7.19)
-    floor : float, the same at any excitation
-    alarms : int, of the frame test
+    strongest : float or None, smallest visible gain error at the strongest frame
+    limit : float or None, limit of detection for a test that knows the form of the error (THEORY 7.19)
+    floor : float, smallest visible gain error at any excitation
+    alarms : int, number of alarms of the frame test
     """
 
     speed_mps: tuple[float, float]
@@ -43,8 +43,8 @@ class MapCell:
     def state(self) -> str:
         """State of the cell.
 
-        PROVED: there was no alarm, and a gain error of LEVEL alone would have raised one. BLIND: a gain error
-        of LEVEL could stay unseen.
+        PROVED means that there was no alarm although a gain error of LEVEL would have caused one. BLIND means
+        that a gain error of LEVEL could stay unseen.
         """
         if self.alarms:
             return VIOLATED

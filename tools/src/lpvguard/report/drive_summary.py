@@ -16,9 +16,9 @@ COLUMNS = 60
 class Nearest:
     """The largest ratio of statistic to threshold in a drive.
 
-    ``ratio``: statistic over threshold; above 1 it is an alarm. ``test``: "frame", "energy" or "change".
-    ``bin`` (index) and ``omega`` [rad/s] are None unless the test is the frame test. ``t_s``: end of the
-    judged stretch [s after the drive's start]; ``speed_mps`` [m/s].
+    ``ratio`` is the statistic divided by the threshold; a ratio above 1 is an alarm. ``test`` is "frame",
+    "energy" or "change". ``bin`` (index) and ``omega`` [rad/s] are None unless the test is the frame test.
+    ``t_s`` is the end of the judged stretch [s after the drive's start].
     """
 
     ratio: float
@@ -33,11 +33,12 @@ class Nearest:
 class DriveSummary:
     """Summary of a replayed drive for the overview, the index and the section of the drive.
 
-    ``key``: id of its section. ``role``: its role in the identification, HTML. ``relevant_s`` [s]: driving in
-    range and excited; ``judged_relevant_s``: its judged part. ``course`` (COLUMNS,): largest statistic over
-    threshold in each column of time, NaN without any. ``verdict`` (COLUMNS,): code of the verdict at a
-    column's end. ``vaf``: least variance accounted for of all outputs, NaN if unknown [-]. ``unexplained``:
-    remainder of a drive that sets the bounds or calibrates; else None. ``section``: HTML.
+    ``key`` is the id of the drive's section, and ``section`` is its HTML. ``role`` is its role in the
+    identification, as HTML. ``relevant_s`` [s] is the time of excited driving in range, and
+    ``judged_relevant_s`` is its judged part. ``course`` (COLUMNS,) is the largest ratio of statistic to
+    threshold in each column of time; it is NaN without a statistic. ``verdict`` (COLUMNS,) is the code of the
+    verdict at the end of a column. ``vaf`` is the least variance accounted for of all outputs [-], or NaN if
+    unknown. ``unexplained`` is the remainder of a drive that sets the bounds or calibrates, else None.
     """
 
     key: str
@@ -84,7 +85,7 @@ def nearest(replay: Replay, replayer: Replayer, drive: Drive) -> Nearest | None:
 
 
 def _ratios(replay: Replay, replayer: Replayer) -> tuple[tuple[str, np.ndarray], ...]:
-    """Ratios (N,) of statistic to threshold, for the tests with one statistic per sample; 0: not judged."""
+    """Ratios (N,) of statistic to threshold for tests with one statistic per sample; 0: not judged."""
     return (
         ("energy", replay.run.energy / replayer.energy_threshold),
         ("change", replay.run.change / replayer.change_threshold),
@@ -92,7 +93,7 @@ def _ratios(replay: Replay, replayer: Replayer) -> tuple[tuple[str, np.ndarray],
 
 
 def course(replay: Replay, replayer: Replayer, t0: float) -> tuple[np.ndarray, np.ndarray]:
-    """Compute ``course`` (COLUMNS,) and ``verdict`` (COLUMNS,) of a DriveSummary; ``t0`` [s]: first time."""
+    """Compute ``course`` and ``verdict`` of a DriveSummary; ``t0`` [s] is the time of the first sample."""
     frames, samples = replay.run.frames, len(replay.run.verdict)
     ratio = np.full(COLUMNS, -np.inf)
     counted = frames.counted
@@ -106,5 +107,5 @@ def course(replay: Replay, replayer: Replayer, t0: float) -> tuple[np.ndarray, n
 
 
 def _column(sample: np.ndarray, samples: int) -> np.ndarray:
-    """Column of each of the drive's samples."""
+    """Index of the time column of each sample of the drive."""
     return np.clip(sample * COLUMNS // samples, 0, COLUMNS - 1).astype(int)

@@ -85,7 +85,7 @@ class IdentificationPictures:
             else None
             for key in ("W_w", "W_n")
         )
-        assert W_w is not None  # one an output
+        assert W_w is not None  # one for each output
         return weights_over_bounds(
             name,
             self.grid,

@@ -11,7 +11,7 @@ from .pictures.numbers import to_json
 
 
 def html_table(head: Iterable[str], rows: Iterable[Iterable[str]], kind: str = "") -> str:
-    """HTML table; ``head`` (may be empty) and cells are HTML, ``kind`` is its CSS class."""
+    """Make an HTML table; ``head`` (may be empty) and cells are HTML, ``kind`` is the CSS class."""
     top = "".join(f"<th>{h}</th>" for h in head)
     top = f"<thead><tr>{top}</tr></thead>" if top else ""
     body = "".join("<tr>" + "".join(f"<td>{c}</td>" for c in row) + "</tr>\n" for row in rows)
@@ -39,7 +39,7 @@ def number(value: float | np.floating | None, digits: int = 3) -> str:
 
 
 def yes_or_no(value: bool | None, yes: str, no: str) -> str:
-    """The HTML text for yes or for no, in its colour; a dash for None."""
+    """Choose the HTML text for yes or for no, with its colour; a dash for None."""
     if value is None:
         return "–"
     return f'<span class="yes">{yes}</span>' if value else f'<span class="no">{no}</span>'

@@ -23,17 +23,17 @@ class Longest:
         return self.stop - self.start
 
     def or_longer(self, drive: str, span: slice) -> Longest:
-        """This stretch, or the ``span`` of ``drive`` when it is longer."""
+        """Return this stretch, or the ``span`` of ``drive`` if it is longer."""
         other = Longest(drive, span.start, span.stop)
         return other if other.samples > self.samples else self
 
 
 @dataclass
 class Visits:
-    """Counted frames of all drives: bins (F,) and Z (F, n_y), one array per drive.
+    """Counted frames of all drives, with bins (F,) and Z (F, n_y) per drive, and two long stretches.
 
-    It also has the longest judged, excited stretches in the lower and the upper third of the model's speed
-    range.
+    The stretches are the longest judged, excited ones in the lower and in the upper third of the model's
+    speed range.
     """
 
     bin: list[np.ndarray] = field(default_factory=list)

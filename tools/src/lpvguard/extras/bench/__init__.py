@@ -1,6 +1,6 @@
-"""Performance tables, measured and not asserted: ``lpvguard bench NAME``, each beside its peers in one run.
+"""Benches: ``lpvguard bench NAME`` measures a property and compares it with public packages in the same run.
 
-A module of this package is a bench unless its name begins with _: its ``main(argv)`` is the command line of
+A module of this package is a bench unless its name begins with _. Its ``main(argv)`` is the command
 ``lpvguard bench <module>``.
 """
 
@@ -33,7 +33,7 @@ MAY_IMPORT = (
 
 
 def names() -> list[str]:
-    """The benches there are."""
+    """Names of all benches."""
     return sorted(m.name for m in iter_modules(__path__) if not m.name.startswith("_"))
 
 
@@ -42,8 +42,8 @@ def run(name: str, argv: list[str]) -> None:
 
     Parameters
     ----------
-    name : str, of the bench
-    argv : list of str, its options
+    name : str, name of the bench
+    argv : list of str, options of the bench
 
     Raises
     ------
@@ -56,7 +56,7 @@ def run(name: str, argv: list[str]) -> None:
 
 
 class _JsonOut(argparse.Action):
-    """``--json``: (path, kind). A file that may not be replaced is refused before the bench runs."""
+    """Option ``--json``, stored as (path, kind); refuse a file that may not be replaced before the run."""
 
     def __call__(self, parser: Any, namespace: Any, values: Any, option_string: str | None = None) -> None:
         if values != "-":
@@ -65,7 +65,7 @@ class _JsonOut(argparse.Action):
 
 
 def parser(name: str, description: str | None) -> argparse.ArgumentParser:
-    """Parser of a bench's options; ``--json`` is common to all."""
+    """Make the parser for a bench's options, with the common option ``--json``."""
     made = argparse.ArgumentParser(
         prog=f"lpvguard bench {name}",
         description=description,
@@ -83,7 +83,7 @@ def parser(name: str, description: str | None) -> argparse.ArgumentParser:
 
 
 def require_at_least(bench: str, options: argparse.Namespace, **least: float) -> None:
-    """InputError for the first of these options that lies below its least value."""
+    """Raise InputError for the first option that is below its least value."""
     for name, smallest in least.items():
         value = getattr(options, name)
         if value < smallest:
@@ -93,7 +93,7 @@ def require_at_least(bench: str, options: argparse.Namespace, **least: float) ->
 def numbers_of(
     bench: str, option: str, text: str, good: Callable[[float], bool], expected: str
 ) -> list[float]:
-    """Numbers of an option, comma-separated; InputError with ``expected`` unless all are ``good``."""
+    """Read the comma-separated numbers of an option; raise InputError unless all are ``good``."""
     try:
         values = [float(word) for word in text.split(",")]
     except ValueError:
@@ -104,8 +104,10 @@ def numbers_of(
 
 
 def show(text: str, value: Any, json_out: tuple[str, str] | None) -> None:
-    """Print the table, or (``--json -``) the numbers; write the numbers where asked. ``json_out``: path and
-    kind, as `parser` has them."""
+    """Print the table, and write the numbers to the file of ``json_out``; for ``-`` print only the numbers.
+
+    ``json_out`` is the path and the kind of the option ``--json``.
+    """
     print(text, file=sys.stderr if json_out and json_out[0] == "-" else sys.stdout)
     if json_out:
         artefacts.write_json(json_out[0], value, json_out[1])

@@ -1,9 +1,9 @@
-"""Random H∞ problems whose optimum is known by algebra, in coordinates that hide it.
+"""Random H∞ problems with an algebraically known optimum, in random coordinates.
 
 A four-block problem of normalised coprime factors has γ² = 1 + λ_max(XZ) (Glover & McFarlane 1989). A zero of
 the plant in the right half plane sets γ by interpolation. The optimum does not depend on the coordinates of
-the state, or on the units of control and measurement. An all-pass behind the outputs does not change it, nor
-do states that no input reaches.
+the state, or on the units of control and measurement. An all-pass at the outputs does not change the optimum.
+States that no input reaches do not change it either.
 """
 
 from collections.abc import Callable
@@ -19,7 +19,7 @@ from lpvguard.extras.bench._mu_families import Family, Problem
 
 @dataclass(frozen=True)
 class HinfCase:
-    """A generalised plant and its optimum ``gamma``."""
+    """Generalised plant and its optimum ``gamma``."""
 
     plant: StateSpace
     n_control: int
@@ -56,19 +56,19 @@ def interpolation(rng: np.random.Generator) -> HinfCase:
 
 
 def close_poles(rng: np.random.Generator) -> HinfCase:
-    """A four-block problem whose G has three poles 1e-6 apart."""
+    """Four-block problem whose G has three poles at distances of 1e-6."""
     poles = rng.uniform(-2.0, -0.5) + 1e-6 * np.arange(3.0)
     return _coprime(np.diag(poles), rng.uniform(0.5, 2.0, (3, 1)), rng.uniform(0.5, 2.0, (1, 3)))
 
 
 def dense(rng: np.random.Generator) -> HinfCase:
-    """A four-block problem in dense coordinates of condition up to 1e4."""
+    """Four-block problem in dense coordinates with condition numbers up to 1e4."""
     case = coprime(rng)
     return replace(case, plant=case.plant.transformed(_coordinates(rng, case.plant.order, 4.0)))
 
 
 def badly_scaled(rng: np.random.Generator) -> HinfCase:
-    """A four-block problem with states, controls and measurements in units up to 1e6 apart."""
+    """Four-block problem whose states, controls and measurements have units that differ by up to 1e6."""
     case = coprime(rng)
     P = case.plant.transformed(np.diag(10.0 ** rng.uniform(-6, 6, case.plant.order)))
     left, right = np.ones(P.n_outputs), np.ones(P.n_inputs)
@@ -79,7 +79,7 @@ def badly_scaled(rng: np.random.Generator) -> HinfCase:
 
 
 def companion_weight(rng: np.random.Generator) -> HinfCase:
-    """An all-pass in companion form behind the first output, its poles up to four decades apart."""
+    """Problem with an all-pass in companion form at the first output; its poles span up to four decades."""
     case = coprime(rng)
     poles = -(10.0 ** np.sort(rng.uniform(-2, 2, int(rng.integers(2, 5)))))
     n, den = len(poles), np.poly(poles)
@@ -91,13 +91,13 @@ def companion_weight(rng: np.random.Generator) -> HinfCase:
 
 
 def dense_companion_weight(rng: np.random.Generator) -> HinfCase:
-    """The same in dense coordinates of condition up to 100 besides."""
+    """Problem of `companion_weight` in dense coordinates with condition numbers up to 100."""
     case = companion_weight(rng)
     return replace(case, plant=case.plant.transformed(_coordinates(rng, case.plant.order, 2.0)))
 
 
 def unreached_copy(rng: np.random.Generator) -> HinfCase:
-    """A stable copy of the states beside a four-block problem: every output shows it, no input reaches it."""
+    """Four-block problem with a stable copy of the states that every output shows and no input reaches."""
     case = coprime(rng)
     P = case.plant
     copy = P.A - (max(np.linalg.eigvals(P.A).real.max(), 0.0) + 1.0) * np.eye(P.order)
@@ -107,7 +107,7 @@ def unreached_copy(rng: np.random.Generator) -> HinfCase:
 
 
 def discrete(rng: np.random.Generator) -> HinfCase:
-    """The Tustin image of a four-block problem, in dense coordinates of condition up to 100."""
+    """Tustin image of a four-block problem, in dense coordinates with condition numbers up to 100."""
     case = coprime(rng)
     dt = 10.0 ** rng.uniform(-2, -1)
     plant = to_discrete(case.plant, dt)
@@ -115,7 +115,7 @@ def discrete(rng: np.random.Generator) -> HinfCase:
 
 
 def _coordinates(rng: np.random.Generator, n: int, decades: float) -> np.ndarray:
-    """A dense matrix (n, n) of condition up to 10**decades."""
+    """Draw a dense matrix (n, n) with a condition number up to 10**decades."""
     U, V = (np.linalg.qr(rng.standard_normal((n, n)))[0] for _ in range(2))
     return U * 10.0 ** rng.uniform(-decades / 2, decades / 2, n) @ V
 
@@ -134,7 +134,7 @@ _CASES: tuple[Callable[[np.random.Generator], HinfCase], ...] = (
 
 
 def _as_problem(case: Callable[[np.random.Generator], HinfCase]) -> Family:
-    """Return a family of problems as ``solve`` takes them."""
+    """Convert a family of cases to a family of problems for ``solve``."""
 
     @wraps(case)
     def problem(rng: np.random.Generator) -> tuple[Problem, float]:

@@ -1,8 +1,9 @@
-"""Cars of known truth: a nonlinear single-track model, many at a time, with the nominal model of the g80.
+"""Simulated cars with a known true model error: a nonlinear single-track model, and the g80's nominal model.
 
-Tyre forces lag by a relaxation length and saturate. The steering lags, and an elastic element with friction
-takes a share of small angles. The true error at a frequency, speed and amplitude is the car's describing
-function over the nominal response, minus 1. It is measured with sines, without disturbance.
+Tyre forces lag by a relaxation length and saturate. The steering has a lag. An elastic element with friction
+reduces small steering angles. The true error is the car's describing function divided by the nominal
+response, minus 1. It depends on frequency, speed and amplitude. It is measured with sines, without
+disturbance.
 """
 
 from collections.abc import Callable
@@ -19,17 +20,17 @@ MASS_KG, INERTIA_KGM2 = 2000.0, 3500.0
 FRONT_M, REAR_M = 1.30, 1.36
 RELAXATION_M = 0.4
 STEPS = 4
-"""Integration steps a sample."""
+"""Number of integration steps per sample."""
 PERIODS, SETTLE_S = 3, 4.0
-"""Periods of a sine that are measured, after so long a time."""
+"""Number of measured periods of a sine, and time before the measurement."""
 SIDE_FORCE_N, NOISE_RPS, BIAS_RPS = 250.0, 6.5e-4, 1.5e-3
-"""Disturbance by bank and wind, noise and bias of the yaw rate, rms."""
+"""Rms of the disturbance by bank and wind, and of the noise and the bias of the yaw rate."""
 PARTS = ((0.6, (0.03, 0.2)), (0.4, (0.1, 0.8)), (0.15, (0.6, 3.0)))
-"""Parts of the steering angle: share of its size, and band [Hz]."""
+"""Components of the steering angle: share of the amplitude, and band [Hz]."""
 MULTISINE_S, REALISATIONS = 40.0, 6
-"""Period of the multisines that measure the best linear approximation, and how many there are."""
+"""Period and number of the multisines that measure the best linear approximation."""
 START_S = 2.0
-"""Standstill before a drive's record, in which filters settle."""
+"""Time before the record of a drive, in which the filters settle."""
 
 
 @dataclass(frozen=True)
@@ -41,7 +42,7 @@ class Car:
     front, rear : cornering stiffness of the axles [N/rad].
     grip_n : largest side force of an axle [N].
     steering_lag_s, delay_s : first-order lag and dead time of the steering [s].
-    friction_share, friction_rad : share of small angles that friction takes, and largest angle it takes.
+    friction_share, friction_rad : share of small angles that friction removes, and largest removed angle.
     """
 
     front: float = 126e3
@@ -54,23 +55,25 @@ class Car:
 
 
 CARS = {"linear": Car(), "friction": Car(front=115e3, grip_n=14e3, friction_share=0.2)}
-"""A car nearly linear, and one softer in front that loses 20 % of gain at small amplitudes."""
+"""A nearly linear car, and a car with a softer front axle that loses 20 % of its gain at small amplitudes."""
 
 
 @dataclass(frozen=True)
 class DriveDeviations:
-    """Differences between drives: gain (D,) and delay (D,) [s] of every drive."""
+    """Deviation of each drive: gain (D,) and delay (D,) [s]."""
 
     gain: np.ndarray
     delay_s: np.ndarray
 
 
 def yaw_rates(car: Car, Ts: float, v: np.ndarray, angle: np.ndarray, side_force: np.ndarray) -> np.ndarray:
-    """Yaw rates (D, N) [rad/s] of cars that begin straight, from speed v [m/s], road-wheel angle as it acts
-    [rad] and side force [N], each (D, N)."""
+    """Simulate yaw rates (D, N) [rad/s] of cars that start straight ahead.
+
+    The inputs (D, N) are the speed v [m/s], the road-wheel angle [rad] at the tyre, and the side force [N].
+    """
     h = Ts / STEPS
     out = np.empty_like(v)
-    x = np.zeros((6, len(v)))  # steering, slip velocity, yaw rate, front and rear force, friction's angle
+    x = np.zeros((6, len(v)))  # steering angle, slip velocity, yaw rate, front and rear force, friction angle
     last = np.zeros(len(v))
     for k in range(v.shape[1]):
         out[:, k] = x[2]
@@ -79,7 +82,7 @@ def yaw_rates(car: Car, Ts: float, v: np.ndarray, angle: np.ndarray, side_force:
             command = (angle[:, k - 1] if k else angle[:, 0]) + rate * h * step
             middle = x + 0.5 * h * _derivative(car, x, v[:, k], command, side_force[:, k])
             x = x + h * _derivative(car, middle, v[:, k], command + 0.5 * h * rate, side_force[:, k])
-            # Elastic until friction_rad, then sliding: the stop operator of the steering angle.
+            # The stop operator of the steering angle: elastic up to friction_rad, then sliding.
             x[5] = np.clip(x[5] + h * rate, -car.friction_rad, car.friction_rad)
     return out
 
@@ -108,8 +111,10 @@ def _derivative(
 def true_error(
     car: Car, model: NominalModel, omega: np.ndarray, speed: np.ndarray, amplitude: np.ndarray
 ) -> np.ndarray:
-    """(G, S, A) complex error of a car by its describing function, at omega (G,) [rad/s], speed (S,) [m/s]
-    and amplitude (S, A) of the steering sine [rad]."""
+    """Compute the complex error (G, S, A) of a car from its describing function.
+
+    The shapes are omega (G,) [rad/s], speed (S,) [m/s] and amplitude (S, A) of the steering sine [rad].
+    """
     Ts, out = model.Ts, np.empty((len(omega), *amplitude.shape), complex)
     v, a = np.repeat(speed, amplitude.shape[1]), amplitude.ravel()
     settle = round(SETTLE_S / Ts)
@@ -129,10 +134,10 @@ def true_error(
 def best_linear_error(
     car: Car, model: NominalModel, omega: np.ndarray, speed: np.ndarray, amplitude: np.ndarray
 ) -> np.ndarray:
-    """(G, S, A) complex error of a car's best linear approximation under inputs as drives have them.
+    """Compute the complex error (G, S, A) of a car's best linear approximation with inputs like in drives.
 
-    Random-phase multisines with the drives' spectrum replace the sines of `true_error`; ``amplitude`` is
-    sqrt(2) times their rms (Pintelon and Schoukens, System Identification, 2012).
+    Random-phase multisines with the spectrum of the drives replace the sines of `true_error`. ``amplitude``
+    is sqrt(2) times their rms (Pintelon and Schoukens, System Identification, 2012).
     """
 
     def rates(v: np.ndarray, angle: np.ndarray) -> np.ndarray:
@@ -150,8 +155,11 @@ def multisine_response(
     realisations: int,
     rates: Callable[[np.ndarray, np.ndarray], np.ndarray],
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Spectra of angle and yaw rate (S, A, R, K) over the second of two periods of multisines, at speed (S,)
-    [m/s] and amplitude (S, A) [rad]. ``rates`` gives the yaw rates (D, N) of speeds and angles (D, N)."""
+    """Compute spectra (S, A, R, K) of angle and yaw rate over the second of two multisine periods.
+
+    The shapes are speed (S,) [m/s] and amplitude (S, A) [rad]. ``rates`` computes the yaw rates (D, N) from
+    speeds and angles (D, N).
+    """
     n = round(MULTISINE_S / Ts)
     lines = 2 * np.pi * np.fft.rfftfreq(n, Ts)
     random = np.random.default_rng(1)
@@ -175,7 +183,7 @@ def spectral_error(
     U: np.ndarray,
     Y: np.ndarray,
 ) -> np.ndarray:
-    """(G, S, A) complex error by spectra U and Y (S, A, R, K): least squares over lines about each frequency.
+    """Compute the complex error (G, S, A) from spectra U and Y (S, A, R, K), by local least squares.
 
     The shapes are omega (G,) [rad/s], speed (S,) [m/s] and amplitude (S, A) [rad].
     """
@@ -191,7 +199,7 @@ def spectral_error(
 
 
 def spectrum_of(omega: np.ndarray, band_hz: tuple[float, float]) -> np.ndarray:
-    """(K,) power gain of `band_noise`'s filter at omega (K,) [rad/s], of the analogue prototype."""
+    """Power gain (K,) of the filter of `band_noise` at omega (K,) [rad/s], from its analogue prototype."""
     low, high = (2 * np.pi * f for f in band_hz)
     safe = np.maximum(omega, 1e-9)
     return 1 / (1 + ((safe**2 - low * high) / (safe * (high - low))) ** 4)
@@ -202,14 +210,14 @@ def _power(omega: np.ndarray, band_hz: tuple[float, float]) -> float:
 
 
 def deviations_drawn(count: int, gain: float, delay_s: float, random: np.random.Generator) -> DriveDeviations:
-    """Normal deviations of ``count`` drives with standard deviations of gain and delay, (count,) each."""
+    """Draw normal deviations of ``count`` drives with the standard deviations ``gain`` and ``delay_s``."""
     return DriveDeviations(gain * random.standard_normal(count), delay_s * random.standard_normal(count))
 
 
 def band_noise(
     random: np.random.Generator, shape: tuple[int, int], band_hz: tuple[float, float], Ts: float
 ) -> np.ndarray:
-    """Gaussian noise of unit variance within a band, in the shape given."""
+    """Draw Gaussian noise of unit variance within a frequency band."""
     settle = round(40 / Ts)
     white = random.standard_normal((shape[0], shape[1] + settle))
     x = sosfilt(butter(2, band_hz, "bandpass", fs=1 / Ts, output="sos"), white, axis=1)[:, settle:]
@@ -224,9 +232,9 @@ def known_drives(
     random: np.random.Generator,
     deviation: DriveDeviations | None = None,
 ) -> list[Drive]:
-    """Drives of a car; each has its own mean speed, amplitude, bias and disturbance.
+    """Simulate drives of a car; each has its own mean speed, amplitude, bias and disturbance.
 
-    ``deviation`` multiplies a drive's gain by 1 + gain and adds to its delay; None for none.
+    ``deviation`` changes the gain of a drive by the factor 1 + gain, and adds to its delay.
     """
     Ts = project.Ts_s
     n = round((duration_s + START_S) / Ts) + 1

@@ -1,4 +1,4 @@
-"""Measured drives against the band of all others: every group of drives is left out once (THEORY 7.15)."""
+"""Compare drives with the error band of the other drives; leave each group out once (THEORY 7.15)."""
 
 from dataclasses import dataclass
 from functools import partial
@@ -19,20 +19,20 @@ from ...vehicle.nominal import NominalModel
 from ...vehicle.project import Project
 
 DOUBT = 0.01
-"""Probability with which a drive's own error lies beyond the interval that is taken off."""
+"""Probability that the own error of a drive lies beyond its interval. The interval is subtracted."""
 
 
 @dataclass(frozen=True)
 class LeftOut:
-    """A drive of a group that was left out, one output.
+    """Result for one output of a drive whose group was left out.
 
     Attributes
     ----------
     drive, group, output : names.
     within : share of the bins at which the drive's own error lies within the others' band.
     largest : largest ratio of the drive's own error to the band over bins.
-    refuted : the same with the error's own interval taken off; above 1 the drive refutes the band.
-    vehicle_bound : (K,) the others' bound over all speeds and amplitudes.
+    refuted : largest ratio after subtraction of the error's interval; above 1 the drive refutes the band.
+    vehicle_bound : (K,) bound of the other drives over all speeds and amplitudes.
     """
 
     drive: str
@@ -47,7 +47,7 @@ class LeftOut:
 def left_out(
     project: Project, folder: Path, seed: int, workers: Map
 ) -> tuple[list[LeftOut], list[ErrorBand]]:
-    """Every drive beside the band of the other groups, and the band of all drives by output."""
+    """Compare every drive with the band of the other groups; return also the band of all drives."""
     model = NominalModel(project)
     reader, estimator = DriveReader(project, model), Estimator.from_project(project, model)
     domain = ErrorDomain.from_estimator(estimator, project.frame_test.excited_std)
@@ -76,7 +76,7 @@ def _band_of(domain: ErrorDomain, output: int, seed: int, sums: ErrorSums) -> Er
 def _beside(
     domain: ErrorDomain, band: ErrorBand, drive: str, group: str, output: str, sums: ErrorSums, j: int
 ) -> LeftOut:
-    """A drive's own error, that of the others' mean and its own deviation, beside their band."""
+    """Compare the error of a drive with the band of the other groups."""
     T, cells = deviations(domain), sums.histogram.sum()
     covariance = np.linalg.pinv(sums.drive_own[0, j], rcond=1e-10, hermitian=True)
     deviation = covariance @ (sums.drive_cross[0, j] - band.mean @ sums.drive_gram[0, j])
@@ -102,7 +102,7 @@ def _beside(
 
 
 def left_out_table(rows: list[LeftOut], bands: list[ErrorBand]) -> str:
-    """Rows as text, a line a drive, and W of all drives."""
+    """Write the rows as text, one line for each drive, and the weight W of all drives."""
     lines = [f"{'left out':<28}{'group':<24}{'output':<16}{'within':>8}{'largest':>9}{'refuted':>9}"]
     lines += [
         f"{r.drive:<28.27}{r.group:<24.23}{r.output:<16.15}{r.within:>8.0%}{r.largest:>9.2f}{r.refuted:>9.2f}"

@@ -1,17 +1,17 @@
-"""Effect of Delta's memory on the frame test: t* of error that a causal Delta makes alone, w = 0.
+"""Effect of Delta's memory on the frame test: t* of an error that only a causal Delta causes, with w = 0.
 
-A frame's t* assumes one complex number d. A causal Delta with impulse response delta_k is no such number. Let
-h be the Hann window of N samples (scale 4/N), and z any nominal output. Then
+t* of a frame assumes that Delta is one complex number. A causal Delta with impulse response delta_k is a
+system with memory. Let h be the Hann window of N samples (scale 4/N), and z any nominal output. Then
 
     E - Delta(jw) Z = (4/N) sum_k delta_k e^-jwk sum_m (h[m+k] - h[m]) z[m] e^-jwm.
 
-The differences have the Euclidean norm k (pi/N) sqrt(N/2) at most. Let |Delta(jw)| <= W_delta, and let the
-disturbance lie within B_w. Let delta be q N samples long. N (1 + q) samples of z then reach into the frame,
-and rms is their root mean square:
+The Euclidean norm of the differences h[m+k] - h[m] is at most k (pi/N) sqrt(N/2). Let |Delta(jw)| <= W_delta,
+and let the disturbance lie within B_w. Let delta be q N samples long. Then N (1 + q) samples of z affect the
+frame. With their root mean square rms,
 
     t* <= 1 + 2 sqrt(2) pi sqrt(1 + q) (sum_k k |delta_k| / N) rms / B_w.
 
-The draws are random stable Delta, sup |Delta| = W_delta, that last a fraction q of the frame, and random z
+The bench draws random stable Delta with sup |Delta| = W_delta and a length of q frames. It draws random z
 with a steep spectrum.
 """
 
@@ -23,17 +23,16 @@ from lpvguard.engine.validation import s1
 
 FRACTIONS = (0.02, 0.05, 0.1, 0.2, 0.5)
 SAMPLES, PERIODS = 300, 3
-"""Frame length and periods of the bin's frequency in it: the monitor's frames."""
+"""Length of the monitor's frames, and number of periods of the bin's frequency in a frame."""
 W_DELTA, B_W = 0.35, 0.05
-"""Bounds: on |Delta|, and on the disturbance in parts of the nominal output's root mean square."""
+"""Bound of |Delta|, and bound of the disturbance as a share of the nominal output's root mean square."""
 
 
 @dataclass(frozen=True)
 class MemoryRow:
-    """t* over draws of Delta that lasts ``fraction`` of the frame: median, 95th percentile, maximum, share
-    above 1.
+    """Statistics of t* over random Delta whose length is ``fraction`` of the frame.
 
-    ``bound_max``: the largest proved bound; ``tightest``: the largest (t* - 1) / (bound - 1).
+    ``bound_max`` is the largest proved bound. ``tightest`` is the largest (t* - 1) / (bound - 1).
     """
 
     fraction: float
@@ -46,7 +45,7 @@ class MemoryRow:
 
 
 def draw(fraction: float, draws: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
-    """t* (draws,) and its bound (draws,) for Delta of memory ``fraction`` of the frame."""
+    """Compute t* (draws,) and its bound (draws,) for random Delta of length ``fraction`` of a frame."""
     rng = np.random.default_rng([seed, round(1e6 * fraction)])
     N, length = SAMPLES, max(round(fraction * SAMPLES), 2)
     hann = 0.5 - 0.5 * np.cos(2 * np.pi * np.arange(N) / N)
@@ -54,13 +53,13 @@ def draw(fraction: float, draws: int, seed: int) -> tuple[np.ndarray, np.ndarray
     t, bound = np.empty(draws), np.empty(draws)
     for i in range(draws):
         delta = rng.standard_normal(length)
-        if i % 2:  # a delay: all of the memory at its end
+        if i % 2:  # a pure delay
             delta = np.where(np.arange(length) == length - 1, 1.0, 0.0)
         delta *= W_DELTA / np.abs(np.fft.rfft(delta, 16 * N)).max()
         z = np.cumsum(rng.standard_normal(N + 2 * length))[length:]
         z -= z.mean()
         e = np.convolve(z, delta)[: len(z)]
-        z, e = z[1:], e[1:]  # length - 1 samples reach into the frame
+        z, e = z[1:], e[1:]  # length - 1 earlier samples affect the frame
         reaching = z[-(N + length - 1) :]
         rms = np.sqrt(np.mean(reaching**2))
         E, Z = kernel @ e[-N:], kernel @ z[-N:]
@@ -71,7 +70,7 @@ def draw(fraction: float, draws: int, seed: int) -> tuple[np.ndarray, np.ndarray
 
 
 def rows(draws: int = 2000, seed: int = 0) -> list[MemoryRow]:
-    """One row for each of FRACTIONS."""
+    """Compute one row for each of FRACTIONS."""
     out = []
     for q in FRACTIONS:
         t, bound = draw(q, draws, seed)
@@ -90,7 +89,7 @@ def rows(draws: int = 2000, seed: int = 0) -> list[MemoryRow]:
 
 
 def table(rows: list[MemoryRow]) -> str:
-    """The rows as a Markdown table."""
+    """Write the rows as a Markdown table."""
     lines = [
         "| memory / frame | median t* | 95 % | largest | above 1 | largest bound |",
         "|---|---|---|---|---|---|",

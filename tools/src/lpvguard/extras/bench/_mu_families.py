@@ -1,8 +1,8 @@
-"""Random problems of μ whose right value is known by algebra, for one frequency and for intervals.
+"""Random μ problems with an algebraically known value, for one frequency and for intervals.
 
-A problem is a dict as ``solve`` takes it. Families are built to be hard. M is real or nearly real, badly
-scaled, or coupled so that only extreme scalings suffice. Others have hidden copies of states, or poles that
-nearly coincide.
+A problem is a dict in the form of ``solve``. The families are hard on purpose. M is real or nearly real,
+badly scaled, or needs extreme scalings because of its couplings. Other families have hidden copies of states,
+or poles that nearly coincide.
 """
 
 from collections.abc import Callable, Iterator
@@ -15,7 +15,7 @@ from scipy.optimize import minimize_scalar
 
 Problem = dict[str, Any]
 Family = Callable[[np.random.Generator], tuple[Problem, float]]
-"""Random numbers to a problem and its μ."""
+"""Function that draws a problem and its μ from a random generator."""
 
 
 def _block(kind: str, size: int = 1) -> Problem:
@@ -31,12 +31,12 @@ def _complex(rng: np.random.Generator, *shape: int) -> np.ndarray:
 
 
 def _scaling(rng: np.random.Generator, sizes: list[int], decades: float) -> np.ndarray:
-    """Return a diagonal scaling that is constant on each block."""
+    """Draw a diagonal scaling that is constant on each block."""
     return np.repeat(10.0 ** rng.uniform(-decades, decades, len(sizes)), sizes)
 
 
 def diagonal(rng: np.random.Generator) -> tuple[Problem, float]:
-    """Diagonal M: the largest |m| of complex scalars, and of real scalars with real m."""
+    """Diagonal M: μ is the largest |m| of complex scalars and of real scalars with real m."""
     n = int(rng.integers(1, 5))
     kinds = [str(rng.choice(["repeated_real", "full", "repeated_complex"])) for _ in range(n)]
     m = rng.standard_normal(n) * 10 ** rng.uniform(-2, 2, n) + 0j
@@ -47,7 +47,7 @@ def diagonal(rng: np.random.Generator) -> tuple[Problem, float]:
 
 
 def _least_slope(c: np.ndarray, real: np.ndarray) -> float:
-    """Return min over s of Σ_real |Re c + s Im c| + Σ_complex |c| √(1 + s²): μ of a rank-one M."""
+    """Compute μ of a rank-one M: min over s of Σ_real |Re c + s Im c| + Σ_complex |c| √(1 + s²)."""
 
     def value(s: float) -> float:
         return float(
@@ -67,7 +67,10 @@ def _least_slope(c: np.ndarray, real: np.ndarray) -> float:
 
 
 def rank_one(rng: np.random.Generator) -> tuple[Problem, float]:
-    """M = a bᴴ: det(I − M Δ) = 1 − Σ b_iᴴ Δ_i a_i. A scalar's term is δ_i b_iᴴ a_i, a full block's is any."""
+    """Rank-one M = a bᴴ: det(I − M Δ) = 1 − Σ b_iᴴ Δ_i a_i.
+
+    The term of a scalar is δ_i b_iᴴ a_i. The term of a full block can have any phase.
+    """
     n = int(rng.integers(2, 6))
     real = rng.random(n) < 0.7
     if real.sum() > 4:
@@ -97,7 +100,7 @@ def real_matrix(rng: np.random.Generator) -> tuple[Problem, float]:
 
 
 def repeated(rng: np.random.Generator) -> tuple[Problem, float]:
-    """Repeated scalars, alone or together: μ is the largest |eigenvalue|, of real ones for real scalars."""
+    """Repeated scalars: μ is the largest |eigenvalue|; for real scalars only real eigenvalues count."""
     parts, blocks, best = [], [], 0.0
     for _ in range(int(rng.integers(1, 4))):
         size = int(rng.integers(1, 4))
@@ -114,7 +117,7 @@ def repeated(rng: np.random.Generator) -> tuple[Problem, float]:
 
 
 def triangular(rng: np.random.Generator) -> tuple[Problem, float]:
-    """Block triangular M with strong couplings: det(I − M Δ) does not see them."""
+    """Block triangular M with strong couplings that do not affect det(I − M Δ)."""
     n = int(rng.integers(2, 5))
     real = rng.random(n) < 0.6
     m = rng.standard_normal(n) + 1j * np.where(real, 0.0, rng.standard_normal(n))
@@ -124,14 +127,14 @@ def triangular(rng: np.random.Generator) -> tuple[Problem, float]:
 
 
 def similar(rng: np.random.Generator) -> tuple[Problem, float]:
-    """One of the families above in other units and coordinates of each block, which commute with Δ."""
+    """Problem of another family, with new units and coordinates of each block that commute with Δ."""
     family = (diagonal, rank_one, real_matrix, repeated, triangular)[int(rng.integers(5))]
     problem, mu = family(rng)
     blocks = problem["blocks"]
     left, right = [], []
     for b in blocks:
         size = 10.0 ** rng.uniform(-4, 4)
-        if b["type"] == "full":  # any unitary factors; μ does not see them
+        if b["type"] == "full":  # unitary factors do not change μ
             left.append(size * np.linalg.qr(_complex(rng, b["rows"], b["rows"]))[0])
             right.append(np.linalg.qr(_complex(rng, b["cols"], b["cols"]))[0] / size)
         else:
@@ -143,7 +146,7 @@ def similar(rng: np.random.Generator) -> tuple[Problem, float]:
 
 
 def ring(rng: np.random.Generator) -> tuple[Problem, float]:
-    """Scalars one after the other in a ring: det(I − M Δ) = 1 − Π m_i δ_i, so μ is the geometric mean."""
+    """Scalars in a ring: det(I − M Δ) = 1 − Π m_i δ_i, so μ is the geometric mean of |m_i|."""
     n = int(rng.integers(2, 6))
     gains = 10 ** rng.uniform(-4, 4, n) * rng.choice([-1, 1], n) + 0j
     real = n < 5 and rng.random() < 0.5
@@ -155,7 +158,7 @@ def ring(rng: np.random.Generator) -> tuple[Problem, float]:
 
 
 def nilpotent(rng: np.random.Generator) -> tuple[Problem, float]:
-    """Signals that never come back: μ is 0, whatever the couplings are."""
+    """Nilpotent M without feedback: μ is 0 for all couplings."""
     n = int(rng.integers(2, 5))
     M = np.triu(_complex(rng, n, n), 1) * 10 ** rng.uniform(-3, 3)
     order = rng.permutation(n)
@@ -184,7 +187,7 @@ def _lags(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray,
 
 
 def _twins(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray, dict[float, float]]:
-    """Return A, B, C of a resonance, or of two poles 1e-6 apart: real at 0 alone."""
+    """Return A, B, C of a resonance or of two poles at a distance of 1e-6; it is real only at 0."""
     if rng.random() < 0.5:
         damping, size = 10 ** rng.uniform(-3, 0), float(rng.choice([-1, 1]) * rng.uniform(0.1, 3))
         A = np.array([[0.0, 1.0], [-1.0, -2 * damping]])
@@ -204,7 +207,7 @@ def _resonance_peak(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, n
 def _disguised(
     rng: np.random.Generator, A: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray, sizes: list[int]
 ) -> Problem:
-    """Return the fields of a system of the same μ: other states, hidden copies of states, other units."""
+    """Return the fields of a system with the same μ: other states and units, hidden copies of states."""
     if rng.random() < 0.3 and len(A):
         k = int(rng.integers(len(A)))
         A = block_diag(A, A[k, k] - 0.1)
@@ -228,7 +231,7 @@ def _disguised(
 def _joined(
     rng: np.random.Generator, parts: list[tuple[np.ndarray, np.ndarray, np.ndarray]], coupled: bool
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Return the systems side by side; ``coupled``: outputs hear later inputs, unseen by det(I − M Δ)."""
+    """Join systems in parallel channels; ``coupled`` adds one-way couplings that det(I − M Δ) ignores."""
     A, B, C = (block_diag(*(p[k] for p in parts)) for k in range(3))
     D = np.zeros((C.shape[0], B.shape[1]))
     if coupled:
@@ -237,7 +240,7 @@ def _joined(
 
 
 def one_real(rng: np.random.Generator) -> tuple[Problem, float]:
-    """One real scalar on all frequencies or on some."""
+    """One real scalar, over all frequencies or over an interval."""
     A, B, C, crossings = _lags(rng) if rng.random() < 0.6 else _twins(rng)
     problem = _disguised(rng, A, B, C, np.zeros((1, 1)), [1])
     problem["blocks"] = [_block("repeated_real")]
@@ -252,7 +255,7 @@ def one_real(rng: np.random.Generator) -> tuple[Problem, float]:
 
 
 def several_real(rng: np.random.Generator) -> tuple[Problem, float]:
-    """Two to four real scalars, coupled one way."""
+    """Two to four real scalars with one-way couplings."""
     drawn = [_lags(rng) if rng.random() < 0.6 else _twins(rng) for _ in range(int(rng.integers(2, 5)))]
     system = _joined(rng, [part[:3] for part in drawn], rng.random() < 0.7)
     problem = _disguised(rng, *system, [1] * len(drawn))
@@ -261,7 +264,7 @@ def several_real(rng: np.random.Generator) -> tuple[Problem, float]:
 
 
 def repeated_real(rng: np.random.Generator) -> tuple[Problem, float]:
-    """One real scalar, two or three times: M is triangular in other coordinates."""
+    """One real scalar, repeated two or three times; M is triangular in other coordinates."""
     drawn = [_lags(rng) if rng.random() < 0.6 else _twins(rng) for _ in range(int(rng.integers(2, 4)))]
     A, B, C, D = _joined(rng, [part[:3] for part in drawn], True)
     T = np.linalg.qr(rng.standard_normal(D.shape))[0]
@@ -271,7 +274,7 @@ def repeated_real(rng: np.random.Generator) -> tuple[Problem, float]:
 
 
 def coupled_real(rng: np.random.Generator) -> tuple[Problem, float]:
-    """N g with a lag g and N ≻ 0: N Δ has real eigenvalues, so only crossings count, and μ = λ_max(N) |g|."""
+    """N g with a lag g and N ≻ 0: μ = λ_max(N) |g| where g is real, because N Δ has real eigenvalues."""
     n = int(rng.integers(2, 5))
     A, B, C, crossings = _lags(rng)
     N = rng.standard_normal((n, n))
@@ -283,14 +286,14 @@ def coupled_real(rng: np.random.Generator) -> tuple[Problem, float]:
 
 
 def interval_polynomial(rng: np.random.Generator) -> tuple[Problem, float]:
-    """A stable polynomial with coefficients in intervals: four corners decide (Kharitonov 1978)."""
+    """Stable polynomial with interval coefficients: four corner polynomials decide (Kharitonov 1978)."""
     n = int(rng.integers(2, 5))
     roots = -(10.0 ** rng.uniform(-0.7, 0.7, n)) + 0j
     for k in range(0, n - 1, 2):
         if rng.random() < 0.6:
             roots[k] = roots[k].real + 1j * 10 ** rng.uniform(-0.7, 0.7)
             roots[k + 1] = np.conj(roots[k])
-    a = np.real(np.poly(roots))[:0:-1]  # of s^0, s^1, ...
+    a = np.real(np.poly(roots))[:0:-1]  # coefficients of s^0, s^1, ...
     r = a * rng.uniform(0.2, 1.0, n)
     signs = np.array(
         [np.resize(s, n) for s in ([1, 1, -1, -1], [-1, -1, 1, 1], [1, -1, -1, 1], [-1, 1, 1, -1])]
@@ -313,7 +316,7 @@ def interval_polynomial(rng: np.random.Generator) -> tuple[Problem, float]:
 
 
 def real_and_performance(rng: np.random.Generator) -> tuple[Problem, float]:
-    """A real scalar beside a full block, coupled one way: the crossing or the peak of the gain."""
+    """Real scalar and full block with one-way couplings: μ is a gain at a real crossing or a peak gain."""
     A, B, C, crossings = _lags(rng) if rng.random() < 0.6 else _twins(rng)
     A2, B2, C2, peak = _resonance_peak(rng)
     system = _joined(rng, [(A, B, C), (A2, B2, C2)], rng.random() < 0.7)
@@ -323,7 +326,7 @@ def real_and_performance(rng: np.random.Generator) -> tuple[Problem, float]:
 
 
 def complex_blocks(rng: np.random.Generator) -> tuple[Problem, float]:
-    """Two or three full scalars, coupled one way: the largest peak of a gain."""
+    """Two or three full scalars with one-way couplings: μ is the largest peak gain."""
     drawn = [_resonance_peak(rng) for _ in range(int(rng.integers(2, 4)))]
     system = _joined(rng, [part[:3] for part in drawn], False)
     problem = _disguised(rng, *system, [1] * len(drawn))
@@ -332,7 +335,7 @@ def complex_blocks(rng: np.random.Generator) -> tuple[Problem, float]:
 
 
 def lightly_damped(rng: np.random.Generator) -> tuple[Problem, float]:
-    """A real scalar on a resonance of damping down to 1e-5: real at 0 alone. Intervals end beside it."""
+    """Real scalar on a resonance with damping down to 1e-5; the response is real only at 0."""
     damping, omega, k = 10 ** rng.uniform(-5, -2), 10 ** rng.uniform(-2, 3), float(rng.uniform(0.1, 3))
     A = np.array([[0.0, omega], [-omega, -2 * damping * omega]])
     B, C = np.array([[0.0], [k * omega]]), np.array([[1.0, 0.0]])
@@ -345,7 +348,7 @@ def lightly_damped(rng: np.random.Generator) -> tuple[Problem, float]:
 
 
 def delayed(rng: np.random.Generator) -> tuple[Problem, float]:
-    """A gain behind a delay of whole samples: |G| is the gain at every frequency."""
+    """Gain with a delay of whole samples: |G| is the gain at every frequency."""
     n, k = int(rng.integers(1, 7)), float(rng.uniform(0.1, 3))
     C = np.zeros((1, n))
     C[0, -1] = k
@@ -355,7 +358,7 @@ def delayed(rng: np.random.Generator) -> tuple[Problem, float]:
 
 
 def discrete(rng: np.random.Generator) -> tuple[Problem, float]:
-    """One of the families above by the bilinear map: frequencies move, μ does not."""
+    """Problem of another family after the bilinear map, which changes frequencies and keeps μ."""
     while True:
         family = _CONTINUOUS[int(rng.integers(len(_CONTINUOUS)))]
         problem, mu = family(rng)
@@ -365,7 +368,7 @@ def discrete(rng: np.random.Generator) -> tuple[Problem, float]:
 
 
 def _tustin(problem: Problem, dt: float) -> Problem:
-    """Return the fields of the bilinear image."""
+    """Return the fields of the problem after the bilinear map."""
     A, B, C, D = (np.array(problem[key], float) for key in "ABCD")
     inverse = np.linalg.inv(2 / dt * np.eye(len(A)) - A)
     root = 2 / np.sqrt(dt)
@@ -379,7 +382,7 @@ def _tustin(problem: Problem, dt: float) -> Problem:
 
 
 def cascade(rng: np.random.Generator) -> tuple[Problem, float]:
-    """Stages of pole −a − r δ in loops: eigenvalues shift by r δ, so that μ is r over the least damping."""
+    """Loops of stages with pole −a − r δ: δ shifts eigenvalues by r δ, so μ is r / (least damping)."""
     parts, blocks, worst = [], [], 0.0
     for _ in range(int(rng.integers(1, 3))):
         n = int(rng.integers(2, 4))
@@ -397,7 +400,7 @@ def cascade(rng: np.random.Generator) -> tuple[Problem, float]:
 
 
 def beside_the_axis(rng: np.random.Generator) -> tuple[Problem, float]:
-    """k 2 ζ s/(s² + 2 ζ s + 1) with ζ down to 1e-9: real at 1 rad/s, where it is k, and nearly so nowhere."""
+    """k 2 ζ s/(s² + 2 ζ s + 1) with ζ down to 1e-9: the response is real only at 1 rad/s, where it is k."""
     damping, omega, k = 10 ** rng.uniform(-9, -5), 10 ** rng.uniform(-1, 2), float(rng.uniform(0.1, 3))
     A = omega * np.array([[0.0, 1.0], [-1.0, -2 * damping]])
     B, C = np.array([[0.0], [2 * damping * omega]]), np.array([[0.0, k]])
@@ -409,7 +412,11 @@ def beside_the_axis(rng: np.random.Generator) -> tuple[Problem, float]:
 
 
 def at_the_ends(rng: np.random.Generator) -> tuple[Problem, float]:
-    """A lag, largest at the interval's beginning, or N s/(s + a), N ≻ 0, at infinity or half the rate."""
+    """Problem whose μ lies at an end of the interval.
+
+    A lag has its largest gain at the beginning. N s/(s + a) with N ≻ 0 has it at infinity, or at half the
+    sampling rate.
+    """
     a, k = (float(x) for x in 10 ** rng.uniform(-1, 1, 2))
     if rng.random() < 0.4:
         A, B, C, D = (np.array([[x]]) for x in (-a, a, k, 0.0))
@@ -450,6 +457,6 @@ FAMILIES: dict[str, list[Family]] = {
 
 
 def problems(family: Family, count: int, seed: int, first: int = 0) -> Iterator[tuple[Problem, float]]:
-    """Yield ``count`` problems of ``family`` with their μ, from number ``first`` on."""
+    """Yield ``count`` problems of a family with their μ, from problem number ``first`` on."""
     for index in range(first, first + count):
         yield family(np.random.default_rng([seed, index]))

@@ -1,8 +1,8 @@
-"""A multi-body car of known truth: vehicle 1 of the package commonroad-vehicle-models (optional).
+"""Multi-body car with a known true error: vehicle 1 of the optional package commonroad-vehicle-models.
 
-29 states: suspension, tyres by the magic formula, wheel spin, steering rate limit (Althoff, Koschi and
-Manzinger, CommonRoad: vehicle models, 2017). It is integrated sample by sample in Python, a minute in about
-four seconds, so drives are made once and sets are drawn from them.
+The model has 29 states: suspension, tyres by the magic formula, wheel spin, steering rate limit (Althoff,
+Koschi and Manzinger, CommonRoad: vehicle models, 2017). Python integrates it sample by sample; one minute of
+driving takes about four seconds. The drives are therefore made once, and sets are drawn from them.
 """
 
 from functools import partial
@@ -17,15 +17,15 @@ from ...vehicle.project import Project, load_project
 from ._known_cars import NOISE_RPS, PARTS, band_noise, multisine_response, spectral_error
 
 STEP_S = 0.0025
-"""Step of Runge and Kutta's method; 0.005 s is 5 % off at 3.5 m/s."""
+"""Step of the Runge-Kutta method. A step of 0.005 s has an error of 5 % at 3.5 m/s."""
 WHEELBASE_M, UNDERSTEER, LAG_S = 2.3927, 8e-4, 0.02
-"""Nominal model of the car: v / (L + K v^2), and its lag per speed [s/(m/s)]."""
+"""Parameters of the car's nominal model v / (L + K v^2), and its lag per speed [s/(m/s)]."""
 SPEED_RANGE_MPS = (6.0, 19.0)
 SPEED_GAIN = 2.0
-"""Acceleration per error of speed of the driver [1/s]."""
+"""Gain of the driver: acceleration per speed error [1/s]."""
 DRIVES, DURATION_S = 30, 60.0
 DISTURBANCE_RPS = 4e-3
-"""Coloured disturbance of the yaw rate, rms."""
+"""Rms of the coloured disturbance of the yaw rate."""
 EXTRA = "commonroad-vehicle-models is not installed"
 
 
@@ -48,7 +48,7 @@ def multibody_project() -> Project:
 
 
 def yaw_rate(Ts: float, columns: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
-    """Yaw rate (N,) [rad/s]; ``columns``: speed (N,) [m/s] to follow, and road-wheel angle (N,) [rad]."""
+    """Simulate the yaw rate (N,) [rad/s] from wanted speed (N,) [m/s] and road-wheel angle (N,) [rad]."""
     try:
         from vehiclemodels.init_mb import init_mb
         from vehiclemodels.parameters_vehicle1 import parameters_vehicle1
@@ -78,7 +78,7 @@ def _slope(dynamics, control: list[float], parameters, x: np.ndarray) -> np.ndar
 
 
 def multibody_drives(project: Project, seed: int, workers: Map = map) -> list[Drive]:
-    """DRIVES drives of the car, shared among ``workers``."""
+    """Simulate DRIVES drives of the car; ``workers`` share the drives."""
     random, Ts = np.random.default_rng(seed), project.Ts_s
     low, high = SPEED_RANGE_MPS
     n = round(DURATION_S / Ts) + 1
@@ -96,7 +96,7 @@ def multibody_drives(project: Project, seed: int, workers: Map = map) -> list[Dr
 def multibody_error(
     model: NominalModel, omega: np.ndarray, speed: np.ndarray, amplitude: np.ndarray, workers: Map = map
 ) -> np.ndarray:
-    """(G, S, A) complex error of the car's best linear approximation.
+    """Compute the complex error (G, S, A) of the car's best linear approximation.
 
     The shapes are omega (G,) [rad/s], speed (S,) [m/s] and amplitude (S, A) [rad]. The amplitude is sqrt(2)
     times the rms of the angle.

@@ -1,8 +1,9 @@
-"""Random problems of the other bounds, their values known by algebra in coordinates that hide it.
+"""Random problems with algebraically known values for the other bounds, in random coordinates.
 
-Kinds ``multiplicative``, ``margin``, ``lft`` and ``lft_margin`` are those of ``solve``. ``norm`` is the H∞
-norm that margins and certificates rest on, ``nu_gap`` and ``nu_margin`` are those of plants, ``worst_gain``
-is the largest gain over Δ. Kinds ``zoh`` and ``frequency_response`` of ``solve`` state no bound.
+The kinds ``multiplicative``, ``margin``, ``lft`` and ``lft_margin`` are kinds of ``solve``. ``norm`` is the
+H∞ norm on which margins and certificates depend. ``nu_gap`` and ``nu_margin`` concern two plants, and a plant
+with a controller. ``worst_gain`` is the largest gain over Δ. The kinds ``zoh`` and ``frequency_response`` of
+``solve`` state no bound.
 """
 
 from collections.abc import Callable
@@ -24,7 +25,7 @@ def _phases(rng: np.random.Generator, n: int) -> np.ndarray:
 
 
 def one_delta(rng: np.random.Generator) -> tuple[Problem, float]:
-    """E = α Z + a part across Z: |δ| is |α| less what the rest of γ_w explains along Z."""
+    """E = α Z + a part orthogonal to Z: |δ| is |α| minus the part along Z that the remaining γ_w explains."""
     n = int(rng.integers(1, 5))
     z = (rng.standard_normal(n) + 1j * rng.standard_normal(n)) * 10 ** rng.uniform(-3, 3)
     across = rng.standard_normal(n) + 1j * rng.standard_normal(n)
@@ -40,7 +41,11 @@ def one_delta(rng: np.random.Generator) -> tuple[Problem, float]:
 
 
 def outputs_apart(rng: np.random.Generator) -> tuple[Problem, float]:
-    """A δ of each output: t is the largest |E|/(W_Δ |Z| + W_w); one δ for E = c Z: the narrowest output."""
+    """Margin t of several outputs.
+
+    With one δ for each output, t is the largest |E|/(W_Δ |Z| + W_w). With one common δ and E = c Z, the
+    output with the tightest bound decides.
+    """
     n = int(rng.integers(1, 5))
     z = rng.uniform(0.1, 1, n) * _phases(rng, n) * 10 ** rng.uniform(-2, 2)
     w = 10 ** rng.uniform(-2, 1, n)
@@ -55,7 +60,7 @@ def outputs_apart(rng: np.random.Generator) -> tuple[Problem, float]:
 
 
 def _loop(rng: np.random.Generator) -> tuple[Problem, float, float, float]:
-    """A scalar δ in a loop, ξ = δ (η + p ξ), e = ξ + w, all turned: the fields, e, η and p."""
+    """Draw a loop with a scalar δ, ξ = δ (η + p ξ), e = ξ + w, in rotated signals: the fields, e, η and p."""
     e, eta, p = (float(x) for x in 10 ** rng.uniform(-1, 1, 3))
     turns = _phases(rng, 2)
     fields = {
@@ -69,7 +74,7 @@ def _loop(rng: np.random.Generator) -> tuple[Problem, float, float, float]:
 
 
 def loop_of_delta(rng: np.random.Generator) -> tuple[Problem, float]:
-    """The least ξ is e − γ_w, of |δ| = ξ/(η + p ξ)."""
+    """Loop of δ: the least ξ is e − γ_w, so |δ| = ξ/(η + p ξ)."""
     fields, e, eta, p = _loop(rng)
     gamma = e * float(rng.uniform(0.05, 0.95))
     weight = float(10 ** rng.uniform(-2, 2))
@@ -78,7 +83,7 @@ def loop_of_delta(rng: np.random.Generator) -> tuple[Problem, float]:
 
 
 def margin_of_a_loop(rng: np.random.Generator) -> tuple[Problem, float]:
-    """e − t W_w = t W_Δ (η + p (e − t W_w)): the smaller root t."""
+    """Margin of a loop: the smaller root t of e − t W_w = t W_Δ (η + p (e − t W_w))."""
     fields, e, eta, p = _loop(rng)
     a, b = (float(x) for x in 10 ** rng.uniform(-2, 1, 2))
     half = (a + b * eta + b * p * e) / 2
@@ -87,7 +92,7 @@ def margin_of_a_loop(rng: np.random.Generator) -> tuple[Problem, float]:
 
 
 def full_block(rng: np.random.Generator) -> tuple[Problem, float]:
-    """e = Δ η + w with one full Δ: its size is (|e| − γ_w)/|η|."""
+    """e = Δ η + w with one full Δ: the size of Δ is (|e| − γ_w)/|η|."""
     rows, cols = (int(n) for n in rng.integers(1, 4, 2))
     e, eta = (rng.standard_normal(n) * 10 ** rng.uniform(-2, 2) * _phases(rng, n) for n in (rows, cols))
     size = float(np.linalg.norm(e))
@@ -113,7 +118,7 @@ def _first_order(a: float, b: float, c: float, d: float) -> StateSpace:
 
 
 def _hidden(rng: np.random.Generator, G: StateSpace, discrete: bool = True) -> StateSpace:
-    """G with a state that nothing reaches, in other coordinates, now and then in discrete time."""
+    """Add an unreachable state to G and change its coordinates; sometimes convert it to discrete time."""
     if rng.random() < 0.3:
         C = np.hstack([G.C, rng.standard_normal((G.n_outputs, 1))])
         G = StateSpace(sl.block_diag(G.A, -1.0), np.vstack([G.B, np.zeros((1, G.n_inputs))]), C, G.D)
@@ -123,7 +128,7 @@ def _hidden(rng: np.random.Generator, G: StateSpace, discrete: bool = True) -> S
 
 
 def _turned(rng: np.random.Generator, G: StateSpace) -> StateSpace:
-    """G between two rotations of its signals."""
+    """Rotate the inputs and the outputs of G."""
     left, right = (np.linalg.qr(rng.standard_normal((n, n)))[0] for n in (G.n_outputs, G.n_inputs))
     return series(gain(left), series(G, gain(right)))
 
@@ -137,14 +142,14 @@ def _resonance(rng: np.random.Generator) -> tuple[StateSpace, float]:
 
 
 def resonances(rng: np.random.Generator) -> tuple[Problem, float]:
-    """Resonances of damping down to 1e-3 side by side, between rotations."""
+    """Parallel resonances with damping down to 1e-3, with rotated inputs and outputs."""
     parts = [_resonance(rng) for _ in range(int(rng.integers(1, 4)))]
     G = _hidden(rng, _turned(rng, append(*(G for G, _ in parts))))
     return {"kind": "norm", "systems": (G,)}, max(peak for _, peak in parts)
 
 
 def all_passes(rng: np.random.Generator) -> tuple[Problem, float]:
-    """A gain behind all-passes of poles four decades apart: the gain at every frequency."""
+    """Gain with all-passes whose poles span four decades: the norm is the gain."""
     size, G = float(10 ** rng.uniform(-3, 3)), gain([[1.0]])
     for a in 10 ** rng.uniform(-2, 2, int(rng.integers(1, 5))):
         G = series(_first_order(-a, 1.0, -2 * a, 1.0), G)
@@ -152,7 +157,7 @@ def all_passes(rng: np.random.Generator) -> tuple[Problem, float]:
 
 
 def integrators(rng: np.random.Generator) -> tuple[Problem, float]:
-    """k/s and c/s, in each channel: the largest |k − c|/(k + c)."""
+    """k/s and c/s in each channel: the nu-gap is the largest |k − c|/(k + c)."""
     n = int(rng.integers(1, 4))
     k = 10 ** rng.uniform(-1, 1, (2, n))
     zero, one = np.zeros((n, n)), np.eye(n)
@@ -167,14 +172,14 @@ def integrators(rng: np.random.Generator) -> tuple[Problem, float]:
 
 
 def static_plants(rng: np.random.Generator) -> tuple[Problem, float]:
-    """Gains p and q of each channel behind one lag of no effect: |p − q|/√((1 + p²)(1 + q²))."""
+    """Gains p and q in each channel: the nu-gap is the largest |p − q|/√((1 + p²)(1 + q²))."""
     p, q = (float(x) for x in 10 ** rng.uniform(-2, 2, 2) * rng.choice([-1, 1], 2))
     systems = tuple(_first_order(-1.0, 0.0, 1.0, x) for x in (p, q))
     return {"kind": "nu_gap", "systems": systems}, float(abs(p - q) / np.sqrt((1 + p * p) * (1 + q * q)))
 
 
 def integrator_and_gain(rng: np.random.Generator) -> tuple[Problem, float]:
-    """k/s under −c: b(P, K) is 1/√(1 + c²), times c where c < 1."""
+    """k/s with the feedback −c: b(P, K) is 1/√(1 + c²), times c if c < 1."""
     k, c = (float(x) for x in 10 ** rng.uniform(-2, 2, 2))
     t = float(10 ** rng.uniform(-3, 3))
     plant = _first_order(0.0, k * t, 1 / t, 0.0)
@@ -182,7 +187,7 @@ def integrator_and_gain(rng: np.random.Generator) -> tuple[Problem, float]:
 
 
 def positive_loop(rng: np.random.Generator) -> tuple[Problem, float]:
-    """Positive gains behind one lag: Δ = I at 0 is worst, real or complex, by the series of Δ."""
+    """Positive gains with one lag: Δ = I at frequency 0 is worst, as the series in Δ shows."""
     n = int(rng.integers(1, 4))
     N = rng.uniform(0.0, 1.0, (n + 1, n + 1))
     N[:n, :n] *= rng.uniform(0.1, 0.9) / np.abs(np.linalg.eigvals(N[:n, :n])).max()
@@ -221,7 +226,7 @@ ENGINE: dict[str, Callable[[Problem], tuple[float, float]]] = {
     "nu_margin": _nu_margin,
     "worst_gain": _worst_gain,
 }
-"""Bounds of the engine that no kind of ``solve`` states: the lower and the upper one."""
+"""Lower and upper bounds of the engine for quantities that are no kind of ``solve``."""
 FAMILIES: dict[str, list[Family]] = {
     "multiplicative": [one_delta],
     "margin": [outputs_apart],

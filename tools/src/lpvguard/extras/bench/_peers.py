@@ -1,7 +1,7 @@
-"""Public peers in a separate virtual environment, made on demand (binary wheels only).
+"""Run public packages for comparison ("peers") in a separate virtual environment, with binary wheels only.
 
-Their requirements and versions do not touch the package's environment. The calling bench judges their
-answers.
+The environment is made on demand. The package's own environment does not change. The calling bench judges the
+answers of the peers.
 """
 
 import json
@@ -15,8 +15,10 @@ PACKAGES = ("slycot", "control", "dkpy", "clarabel==0.9.0")  # dkpy 0.1.9 panics
 
 
 class Peers:
-    """The peers' environment in ``folder`` (made when missing); ``note`` says why there is none, and is empty
-    otherwise."""
+    """Virtual environment of the peers in ``folder``, made if it is missing.
+
+    ``note`` gives the reason if there is no environment, and is otherwise empty.
+    """
 
     def __init__(self, folder: Path | None):
         self.note = "not asked for"
@@ -37,15 +39,17 @@ class Peers:
                 self.note = f"could not be installed: {made.stderr.strip().splitlines()[-1:]}"
 
     def ask(self, script: str, question: dict, limit_s: float) -> dict:
-        """Answer of ``script`` (argv: files of question and answer, both JSON), or {"note": reason why
-        there is none}."""
+        """Run a script of a peer and return its answer, or {"note": reason} without an answer.
+
+        The arguments of ``script`` are the JSON files of the question and of the answer.
+        """
         if self.note:
             return {"note": self.note}
         return ask(self._python, script, question, limit_s)
 
 
 def ask(python: Path | str, script: str, question: dict, limit_s: float) -> dict:
-    """Run ``script`` by the interpreter ``python``; see :meth:`Peers.ask`."""
+    """Run ``script`` with the interpreter ``python``; see :meth:`Peers.ask`."""
     environment = {k: v for k, v in os.environ.items() if k != "PYTHONPATH"}
     with tempfile.TemporaryDirectory() as folder:
         question_file, answer_file = Path(folder) / "question.json", Path(folder) / "answer.json"

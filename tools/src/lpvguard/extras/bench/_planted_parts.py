@@ -1,4 +1,4 @@
-"""Faults of every sensor, planted in measured drives that the scales have not seen."""
+"""Plant faults of every sensor in measured drives that did not set the scales."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ from ...identify.isolation import (
 from ...vehicle.project import Project
 
 SIZES = {"gain": -0.4, "delay": 0.3, "bias": 1.0, "offset": 1.0, "factor": 0.2}
-"""Planted sizes: of a delay in s, of bias and offset in standard deviations of the signal."""
+"""Sizes of the planted faults: a delay in s; a bias or an offset in standard deviations of the signal."""
 
 
 @dataclass(frozen=True)
 class Planted:
-    """A fault of a part: its column, and the size in the column's unit."""
+    """Fault of a part: its column, and its size in the column's unit."""
 
     column: PartColumn
     size: float
@@ -37,7 +37,7 @@ class Planted:
         return f"{self.column.what} {self.size:+.3g} {self.column.unit}".strip()
 
     def within(self, changes: Changes, drive: Drive) -> Drive:
-        """The drive as it would be measured with the fault from its beginning on."""
+        """Make the drive that would be measured with the fault during the whole drive."""
         kind, place, project = self.column.kind, self.column.place, changes.project
         if kind == "factor":
             settings = project.isolation
@@ -56,8 +56,10 @@ class Planted:
 
 
 def planted(project: Project, spread_u: np.ndarray, spread_y: np.ndarray, factor: float) -> list[Planted]:
-    """A fault for every size of a sensor; ``spread_u``, ``spread_y``: standard deviations of the signals.
-    ``factor``: of all sizes."""
+    """List the faults of every sensor and size.
+
+    ``spread_u`` and ``spread_y`` are the standard deviations of the signals. ``factor`` multiplies all sizes.
+    """
     names = [s.name for s in (*project.inputs, *project.outputs)]
     scale = dict(zip(names, np.r_[spread_u, spread_y].tolist(), strict=True))
     columns = {c.what: c for c in columns_of(project, spread_u, spread_y) if c.part != VEHICLE}.values()
@@ -66,8 +68,11 @@ def planted(project: Project, spread_u: np.ndarray, spread_y: np.ndarray, factor
 
 
 def pieces_of(changes: Changes, drives: Sequence[Drive], window_s: float) -> list[tuple[str, Drive]]:
-    """Pieces of drives that each hold a window, with a name. Pieces of one name are held out together: those
-    of a drive, or each piece of a single drive."""
+    """Divide drives into named pieces that each hold a window.
+
+    Pieces of the same name are held out together. With several drives, all pieces of a drive have the same
+    name. With a single drive, each piece has its own name.
+    """
     Ts = changes.project.Ts_s
     unused = max(changes.estimator.settle, changes.ahead) + changes.ahead + changes.step
     length = round(window_s / Ts) + unused
@@ -84,7 +89,7 @@ def pieces_of(changes: Changes, drives: Sequence[Drive], window_s: float) -> lis
 def held_out(
     changes: Changes, pieces: Sequence[tuple[str, Drive]], window_s: float
 ) -> Iterator[tuple[Isolation, list[Drive]]]:
-    """Scales from all pieces but those of a name, and these pieces."""
+    """Yield, for each name, the scales from all other pieces, and the pieces of this name."""
     names = list(dict.fromkeys(n for n, _ in pieces))
     for name in names:
         moments = [moments_of(changes, piece) for n, piece in pieces if n != name]

@@ -1,9 +1,9 @@
-"""A seeded car with four redundant measurements of its yaw rate, and single faults of its parts.
+"""Simulated car with four redundant measurements of its yaw rate, and single faults of its parts.
 
-The truth is a bicycle with side slip and lag-free tyres, and a disturbance by bank and wind. Two outputs are
-the gyro and the difference of the rear wheels' speeds over the track. Two are the lateral acceleration over
-the measured speed, and the course rate of a satellite receiver that lags. Loads, tyres and sensors differ a
-little between healthy drives.
+The true car is a bicycle model with side slip and tyres without lag. Bank and wind disturb it. Two outputs
+are the gyro, and the rear wheels' speed difference divided by the track. The other two are the lateral
+acceleration divided by the measured speed, and the course rate of a satellite receiver with lag. Loads, tyres
+and sensors differ a little between healthy drives.
 """
 
 from __future__ import annotations
@@ -23,17 +23,17 @@ FRONT_STIFFNESS, REAR_STIFFNESS = 126e3, 180e3
 SPEEDS_MPS = (5.0, 19.0)
 LAG_SAMPLES, COURSE_LAG_S = 1, 0.2
 LAG = 0.0134
-"""Lag per speed of the nominal model [s/(m/s)], fitted to healthy drives."""
+"""Lag of the nominal model per speed [s/(m/s)], fitted to healthy drives."""
 STEPS = 4
 NOISE = {"yaw_rate": 6e-4, "wheel_rate": 8e-3, "acceleration_rate": 6e-3, "course_rate": 6e-3}
-"""Outputs, and their white noise [rad/s]."""
+"""Outputs, and standard deviation of their white noise [rad/s]."""
 HEALTHY = {"load": 0.03, "tyre": 0.03, "gain": 0.005, "bias": 1e-3, "speed": 0.003, "offset": 4e-4}
-"""Spread between healthy drives: relative, and rad/s or rad."""
+"""Spread between healthy drives, relative or in rad/s or rad."""
 
 
 @dataclass(frozen=True)
 class PartFault:
-    """Fault of a part: ``kind`` gain, bias or delay of a signal, or speed, tyre, load or offset."""
+    """Fault of a part. ``kind`` is gain, bias or delay of a signal, or speed, tyre, load or offset."""
 
     kind: str
     value: float
@@ -41,7 +41,7 @@ class PartFault:
 
     @property
     def part(self) -> str:
-        """Part that must be named."""
+        """Part that the isolation must name."""
         return {"speed": "speed", "tyre": "vehicle", "load": "vehicle", "offset": "road_wheel_angle"}.get(
             self.kind, self.signal
         )
@@ -73,20 +73,20 @@ FAULTS = (
     PartFault("load", 1.25),
     PartFault("offset", float(np.radians(0.5))),
 )
-"""The twelve single faults. The offset is that of the road wheels."""
+"""The twelve single faults. The offset is an offset of the road-wheel angle."""
 FURTHER = tuple(
     PartFault(kind, value, signal)
     for signal in ("acceleration_rate", "course_rate")
     for kind, value in (("gain", 0.9), ("bias", 0.02), ("delay", 0.2))
 )
-"""The same faults of the other two outputs."""
+"""The same faults for the other two outputs."""
 DOUBLE = tuple((FAULTS[i], FAULTS[j]) for i, j in ((0, 4), (1, 11), (2, 6), (8, 9), (3, 9), (0, 8)))
-"""Two faults of different parts at once."""
+"""Pairs of simultaneous faults of different parts."""
 
 
 @cache
 def redundant_project() -> Project:
-    """Project of the car: the g80's, with four outputs of one nominal model."""
+    """Project of the car: the g80's project, with four outputs of one nominal model."""
     document = load_project("g80").model_dump(by_alias=True)
     output = next(s for s in document["signals"] if s["role"] == "output")
     document["signals"] = [s for s in document["signals"] if s["role"] != "output"] + [
@@ -121,7 +121,7 @@ def redundant_drives(
     faults: Sequence[tuple[PartFault, ...]] = ((),),
     from_s: float = 0.0,
 ) -> list[list[Drive]]:
-    """Drives of the car, one list for every set of faults, which begin at ``from_s``.
+    """Simulate drives of the car: one list for every set of faults, which begin at ``from_s``.
 
     Drive k has the same road, driver and disturbances in every list.
     """
@@ -177,7 +177,7 @@ def redundant_drives(
 def _driving(
     random: np.random.Generator, shape: tuple[int, int], Ts: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Speed [m/s], road-wheel angle [rad] and side force [N] of drives, each of ``shape`` (count, n)."""
+    """Draw speed [m/s], road-wheel angle [rad] and side force [N] of drives, each of ``shape`` (count, n)."""
     low, high = SPEEDS_MPS
     mean = random.uniform(low + 2.5, high - 2.5, (shape[0], 1))
     v = np.clip(mean * (1 + 0.25 * band_noise(random, shape, (0.01, 0.05), Ts)), low, high)
@@ -187,7 +187,7 @@ def _driving(
 
 
 def _late(x: np.ndarray, delay_s: np.ndarray, Ts: float) -> np.ndarray:
-    """Signals (count, n) delayed by ``delay_s`` (n,), whole samples."""
+    """Delay signals (count, n) by ``delay_s`` (n,), rounded to whole samples."""
     at = np.arange(x.shape[1]) - np.round(delay_s / Ts).astype(int)
     return x[:, np.maximum(at, 0)]
 
@@ -195,7 +195,10 @@ def _late(x: np.ndarray, delay_s: np.ndarray, Ts: float) -> np.ndarray:
 def _motion(
     v: np.ndarray, angle: np.ndarray, force: np.ndarray, load: np.ndarray, tyre: np.ndarray, Ts: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Yaw rate and rate of the slip angle (count, n) [rad/s]; ``load`` and ``tyre`` (count, n): factors."""
+    """Simulate the yaw rate and the rate of the slip angle (count, n) [rad/s].
+
+    ``load`` and ``tyre`` (count, n) are factors.
+    """
     acted = np.concatenate([np.repeat(angle[:, :1], LAG_SAMPLES, axis=1), angle[:, :-LAG_SAMPLES]], axis=1)
     slip, rate = np.zeros(len(v)), np.zeros(len(v))
     rates, slips, h = np.empty(v.shape), np.empty(v.shape), Ts / STEPS

@@ -1,9 +1,9 @@
-"""Loops drawn within the limits of each certificate of a controller.json, each with its worst input found.
+"""Draw random loops within the limits of each certificate of a design, and search their worst inputs.
 
-A trial draws a stable Delta. It is an all-pass of first order, a sampled rational system up to fourth order,
-or one that the lower bound of mu constructs. Its gain is 1, or 1/mu for trials of mu. The input is not drawn.
-The loop's adjoint finds the input with the largest gain over a finite horizon. Where the demand is limited,
-the input is the one that climbs furthest.
+A trial draws a stable Delta. It is a first-order all-pass, a rational system up to fourth order, or the Delta
+of mu's lower bound. The gain of Delta is 1, or 1/mu for trials of mu. The input is searched and not drawn.
+The adjoint of the loop gives the input with the largest gain over a finite horizon. For a limited demand, an
+ascent gives the input.
 """
 
 from collections.abc import Callable, Iterator
@@ -38,21 +38,21 @@ from ...engine.synthesis.worst_case import close_delta, worst_case
 from ...identify.identification import StoredIdentification
 
 CONSTRUCTED = 4
-"""Nodes at which mu's lower bound constructs a Delta."""
+"""Number of nodes at which the lower bound of mu constructs a Delta."""
 NEAR = 0.7
-"""Share of a bound from which the worst found counts as near it."""
+"""A worst number of at least this share of a bound counts as near the bound."""
 SWITCHES = 4
-"""Times that a Delta of any rate is turned to what the derivative favours."""
+"""Number of sign changes by the derivative for a Delta of any rate."""
 ABOVE = 1e-6
-"""Share above a bound that counts as above: what simulation in double may leave."""
+"""Relative excess from which a number counts as above its bound. Rounding can cause a smaller excess."""
 
 
 @dataclass(frozen=True)
 class Trial:
-    """A trial.
+    """Result of a trial.
 
-    ``share`` is the reached over the proved number. ``grows`` says that a loop that is proved stable grew.
-    ``where`` is the place.
+    ``share`` is the reached number divided by the proved number. ``grows`` tells that a loop with proved
+    stability grew. ``where`` describes the loop.
     """
 
     share: float
@@ -61,12 +61,12 @@ class Trial:
 
     @property
     def above(self) -> bool:
-        """Whether the trial refutes the proof."""
+        """Tell if the trial refutes the proof."""
         return self.grows or self.share > 1 + ABOVE
 
 
 class Trials:
-    """The trials of one design; ``samples``: of a history."""
+    """Trials of one design; ``samples`` is the length of a history."""
 
     def __init__(self, stored: StoredIdentification, document: dict, samples: int, seed: int):
         self.stored, self.problem, self.samples = stored, DesignProblem.from_identification(stored), samples
@@ -77,8 +77,7 @@ class Trials:
         self.unscaled = Scaling(np.zeros((len(self.scaling.log_parameters), 1)))
 
     def claims(self) -> Iterator[tuple[str, float | None, Callable[[], Trial]]]:
-        """Claims of the file: name, proved rate (None: the speed is frozen), and function that draws a
-        trial."""
+        """Yield each claim of the file: name, proved rate (None: frozen speed), function for a trial."""
         moving = {claim: row["rate_mps2"] for claim, row in self.stated["moving_speed"].items()}
         if moving.get("stability"):
             yield "stability, moving speed", moving["stability"], self.moving_stability
@@ -97,7 +96,7 @@ class Trials:
 
     @cached_property
     def performance(self) -> Loop:
-        """The loop from [w; n; r_c] to z over speed."""
+        """Loop from [w; n; r_c] to z over speed."""
         return self._loop(scaled_families(self.problem, self.schedule, self.unscaled)["performance"])
 
     @cached_property
@@ -107,13 +106,13 @@ class Trials:
 
     @cached_property
     def scaled_channels(self) -> Loop:
-        """Delta's channels with D(s), whose proved gain is below 1."""
+        """Channels of Delta with D(s); their proved gain is below 1."""
         return Loop(
             OverSpeed(scaled_families(self.problem, self.schedule, self.scaling)["stability"]), 0, self.Ts
         )
 
     def moving_stability(self) -> Trial:
-        """A history at the proved rate: gain of Delta's scaled channels, and growth with a drawn Delta."""
+        """Run a history at the proved rate: gain of Delta's scaled channels, growth with a random Delta."""
         rate = self.stated["moving_speed"]["stability"]["rate_mps2"]
         speeds, name = self._profile(rate)
         gain, _ = self.scaled_channels.history(speeds, self.scaled_channels.delta(())).gain(self._input(0))
@@ -122,24 +121,24 @@ class Trials:
         return Trial(gain, grows, name)
 
     def moving_performance(self) -> Trial:
-        """A history at the proved rate with a drawn Delta: its gain over the proved level."""
+        """Run a history at the proved rate with a random Delta; compare its gain with the proved level."""
         claim = self.stated["moving_speed"]["performance"]
         speeds, name = self._profile(claim["rate_mps2"])
         history = self.performance.history(speeds, self.drawn())
         return Trial(history.gain(self._input(1))[0] / claim["level"], False, name)
 
     def frozen(self) -> Trial:
-        """Trial at a speed with a proved mu: a Delta of gain 1/mu leaves a gain of mu."""
+        """Run a trial at a speed with a proved mu: with a Delta of gain 1/mu, the gain is at most mu."""
         row = self._one_of(self.stated["speeds"])
         return self._frozen(row["v_mps"], row["mu_upper"], 1 / row["mu_upper"])
 
     def worst_gain(self) -> Trial:
-        """Trial at a node with a proved worst-case gain."""
+        """Run a trial at a node with a proved worst-case gain."""
         row = self._one_of(self._nodes("robustness", "worst_gain"))
         return self._frozen(row["v_mps"], row["worst_gain"], 1.0)
 
     def slow_delta(self) -> Trial:
-        """Trial at a node: a mean of two Delta whose weights move at the proved rate."""
+        """Run a trial at a node with a weighted mean of two Delta; the weights change at the proved rate."""
         row = self._one_of(self._nodes("slow_delta", "performance_rate"))
         grid = SpeedGrid.for_rate(-1.0, 1.0, row["performance_rate"], self.Ts)
         shape = triangle if self.random.random() < 0.5 else sinusoid
@@ -154,10 +153,10 @@ class Trials:
         return Trial(gain, False, f"{row['v_mps']:.4g} m/s, {shape.__name__} between two Delta")
 
     def switched_delta(self) -> Trial:
-        """Trial at a node: all-passes whose signs switch as the derivative favours.
+        """Run a trial at a node with all-passes whose signs switch to increase the gain.
 
-        The number is the scaled gain from Delta's outputs to its inputs, bounded by level / (1 − level)
-        (small gain).
+        The number is the scaled gain from Delta's outputs to its inputs. By the small-gain theorem, it is at
+        most level / (1 − level).
         """
         row = self._one_of(self._switched())
         blocks, level = self.stability.blocks, row["stability_level"]
@@ -186,7 +185,7 @@ class Trials:
         return Trial(gain / bound, False, f"{row['v_mps']:.4g} m/s, switched signs")
 
     def limited(self, aim: str) -> Trial:
-        """Trial at a row of the limits: an input of the stated energy that climbs for the ``aim``."""
+        """Run a trial for a row of the limits: an ascent over inputs of the stated energy for ``aim``."""
         row = self._one_of(self._limits(aim))
         v, kappa = row["v_mps"], row["kappa"]
         plant, K = self.problem.plant(v), self.schedule.at(v)
@@ -200,7 +199,7 @@ class Trials:
         return Trial(reached / bound, False, f"{v:.4g} m/s, kappa {kappa:g}")
 
     def drawn(self) -> StateSpace:
-        """A stable Delta of gain 1."""
+        """Draw a stable Delta of gain 1."""
         kind = self.random.integers(0, 3)
         if kind == 0:
             return self.performance.delta(drawn_corners(self.random, self.performance.blocks))
@@ -212,7 +211,7 @@ class Trials:
 
     @cached_property
     def _constructed(self) -> list[StateSpace]:
-        """Delta of size 1 that mu's lower bound constructs at some nodes."""
+        """Delta of size 1 that the lower bound of mu constructs at some nodes."""
         speeds = self.schedule.speeds[evenly(len(self.schedule.speeds), CONSTRUCTED)]
         worst = [worst_case(self.problem.plant(v), self.schedule.at(v), self.scaling) for v in speeds]
         return [
@@ -221,14 +220,14 @@ class Trials:
         ]
 
     def _frozen(self, v: float, bound: float, size: float) -> Trial:
-        """Gain with a Delta of gain ``size`` at speed ``v`` [m/s], over ``bound``."""
+        """Compute the gain with a Delta of gain ``size`` at speed ``v`` [m/s], divided by ``bound``."""
         drawn = self.drawn()
         delta = StateSpace(drawn.A, drawn.B, drawn.C * size, drawn.D * size, drawn.dt)
         history = self.performance.history(np.full(self.samples, v), delta)
         return Trial(history.gain(self._input(1))[0] / bound, False, f"{v:.4g} m/s")
 
     def _profile(self, rate: float) -> tuple[np.ndarray, str]:
-        """A history (samples,) [m/s] of largest |dv/dt| ``rate``, and its name."""
+        """Draw a speed history (samples,) [m/s] with a largest |dv/dt| of ``rate``, and its name."""
         low, high = self._range
         grid = SpeedGrid.for_rate(low, high, rate, self.Ts)
         first, last = (
@@ -249,7 +248,7 @@ class Trials:
         return Loop(OverSpeed(family), len(self.scaling.log_parameters), self.Ts)
 
     def _input(self, performance: int) -> np.ndarray:
-        """A first input (samples, m): of the whole loop or of Delta's channels."""
+        """Draw a first input (samples, m) of the whole loop or of Delta's channels."""
         loop = self.performance if performance else self.stability
         return self.random.standard_normal((self.samples, loop.inputs))
 
@@ -273,14 +272,14 @@ class Trials:
         ]
 
     def _limits(self, aim: str) -> list[dict]:
-        """Rows of the limits with an energy, for the gain also with a gain."""
+        """Rows of the limits with a proved energy; for the aim "gain" also with a proved gain."""
         stated = self.stated.get("limits")
         rows = stated["rows"] if stated else []
         return [row for row in rows if row["energy"] and (aim != "gain" or row["gain"])]
 
 
 def _side_by_side(one: StateSpace, other: StateSpace) -> tuple[StateSpace, StateSpace]:
-    """Each of two systems with the states of both."""
+    """Give two systems the common state vector of both."""
     both = append(one, other)
     A, B = both.A, np.vstack([one.B, other.B])
     first = StateSpace(A, B, np.hstack([one.C, np.zeros_like(other.C)]), one.D, one.dt)
@@ -289,9 +288,9 @@ def _side_by_side(one: StateSpace, other: StateSpace) -> tuple[StateSpace, State
 
 
 def _turned(S: np.ndarray, signs: np.ndarray, index: np.ndarray, n: int, w: np.ndarray) -> np.ndarray:
-    """Row of ``signs`` (K, blocks) for every sample (T,) that the derivative of the gain favours.
+    """For every sample (T,), choose the row of ``signs`` (K, blocks) that increases the gain most.
 
-    S (K, n + p, n + m) belongs to these rows, w (T, m) is the input.
+    S (K, n + p, n + m) holds the system of each row, and w (T, m) is the input.
     """
     history, turned = History(S, index, n), np.empty((len(index), signs.shape[1]))
     for block in range(signs.shape[1]):
@@ -306,5 +305,5 @@ def _turned(S: np.ndarray, signs: np.ndarray, index: np.ndarray, n: int, w: np.n
 
 
 def _row_of(signs: np.ndarray, wanted: np.ndarray) -> np.ndarray:
-    """The row (T,) of ``signs`` (K, blocks) that each of ``wanted`` (T, blocks) is."""
+    """Find the index (T,) of each of ``wanted`` (T, blocks) among the rows of ``signs`` (K, blocks)."""
     return np.argmax((wanted[:, None, :] == signs[None]).all(axis=2), axis=1)

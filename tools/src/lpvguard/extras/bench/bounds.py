@@ -1,10 +1,14 @@
-"""Bounds of μ and of the H∞ optimum with known values: false, loose and refused answers, counted.
+"""Compare bounds of μ and of the H∞ optimum with known values: count false, loose and refused answers.
 
-Each family draws its problems from a seed, and ``solve`` answers them like any problem. An answer is false
-where its upper bound lies below the value or its lower bound above it, by more than rounding. It is loose
-where its upper bound is more than 1 % above the value and it does not say so. It is unresolved where it says
-that its bounds are more than 1 % apart. It is undetermined where its error says how far the last digits of
-the data move the optimum. Any other error counts as refused. The same seed gives the same table.
+Each family draws its problems from a seed, and ``solve`` answers them. The table has these counts:
+
+    false         the upper bound is below the value, or the lower bound is above it, by more than rounding
+    loose         the upper bound is more than 1 % above the value, and the answer does not say so
+    unresolved    the answer says that its bounds differ by more than 1 %
+    undetermined  the error says that rounding of the data changes the optimum
+    refused       any other error
+
+The same seed gives the same table.
 """
 
 from collections.abc import Iterator
@@ -21,7 +25,7 @@ from lpvguard.extras.problems.solve import solve_problem
 from lpvguard.extras.problems.synthesis import DIGITS
 
 FALSE_RTOL = 1e-7
-"""Rounding of the value and of the answer, relative."""
+"""Relative rounding error of the value and of the answer."""
 LOOSE = 1.01
 FAMILIES: dict[str, list[Family]] = {
     **_mu_families.FAMILIES,
@@ -37,7 +41,7 @@ BOUNDS = {
     "lft": ("J_lower", "J_upper"),
     "lft_margin": ("t_lower", "t_upper"),
 }
-"""Fields of an answer by kind of ``solve``."""
+"""Fields of an answer with the bounds, by kind of ``solve``."""
 
 
 @dataclass(frozen=True)
@@ -48,7 +52,7 @@ class Row:
     ----------
     kind, family : str
     count, false, loose, unresolved, undetermined, refused : int
-    worst : float, largest upper bound over its value
+    worst : float, largest ratio of an upper bound to its value
     """
 
     kind: str
@@ -66,7 +70,7 @@ COUNTS = ("false", "loose", "unresolved", "undetermined", "refused")
 
 
 def _outcome(family: Family, seed: int, index: int) -> tuple[bool, bool, bool, bool, bool, float]:
-    """Return whether each of ``COUNTS`` holds of an answer, and its upper bound over the value."""
+    """Solve one problem; return which of ``COUNTS`` apply, and the ratio of the upper bound to the value."""
     problem, value = next(problems(family, 1, seed, index))
     if problem["kind"] in _other_families.ENGINE:
         try:
@@ -84,14 +88,14 @@ def _outcome(family: Family, seed: int, index: int) -> tuple[bool, bool, bool, b
 
 
 def _judged(lower: float, upper: float, value: float, resolved: bool) -> tuple[bool, bool, bool, bool, bool]:
-    """Return ``COUNTS`` of an answer. Where one side alone is stated, that must lie near the value."""
+    """Return which of ``COUNTS`` apply to an answer; a single stated bound must be near the value."""
     false = upper < value * (1 - FALSE_RTOL) or lower > value * (1 + FALSE_RTOL)
     tight = lower * LOOSE >= value if np.isinf(upper) else upper <= LOOSE * value or value == 0
     return false, resolved and not tight, not resolved, False, False
 
 
 def bench_bounds(count: int, seed: int, jobs: int) -> list[Row]:
-    """Return a row for each family; ``count`` problems of each kind are solved by ``jobs`` processes."""
+    """Return a row for each family; ``jobs`` processes solve ``count`` problems of each kind."""
     rows = []
     with parallel_map(jobs) as pool:
         for kind, families in FAMILIES.items():

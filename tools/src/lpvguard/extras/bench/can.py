@@ -1,12 +1,12 @@
 """`lpvguard bench can`: speed of decoding CAN logs, or reactions of the closed loop to faults on the bus.
 
-With a log and its database it measures decoding. It repeats a candump log to the wanted number of frames and
-decodes every signal of every message of the database from the text file. A loop of python-can's reader and
-cantools' decode_message runs over a part of the same file in the same run. One process, one thread. Times are
-processor time (user and system), so that other work on the machine does not enter the ratio.
+With a log and its database, the bench measures decoding. It repeats a candump log up to the wanted number of
+frames, and decodes every signal of the database from the text file. In the same run, a loop of python-can's
+reader and cantools' decode_message decodes a part of the same file. Both use one process and one thread.
+Times are processor times (user and system), so that other work on the machine has little effect on the ratio.
 
-Without a log it prints the fault table of the closed loop (loop/bus_faults.py): each fault on the bus, and
-the firmware's reaction.
+Without a log, the bench prints the fault table of the closed loop (loop/bus_faults.py): each fault on the
+bus, and the firmware's reaction.
 """
 
 from __future__ import annotations
@@ -31,9 +31,9 @@ if TYPE_CHECKING:  # cantools takes long to import
 
 
 def bench_decode(log: Path, dbc: Path, *, frames: int = 5_000_000, peer_frames: int = 200_000) -> dict:
-    """Frames per second of both, and their ratio; ``log`` is a candump log (also .gz).
+    """Measure the frames per second of both decoders, and their ratio; ``log`` is a candump log (also .gz).
 
-    The peer's rate is of ``peer_frames`` frames: it is a loop, its rate does not depend on their number.
+    The peer decodes only ``peer_frames`` frames. It is a loop, so its rate does not depend on their number.
     """
     text = gzip.decompress(Path(log).read_bytes()) if Path(log).suffix == ".gz" else Path(log).read_bytes()
     text = text if text.endswith(b"\n") else text + b"\n"
@@ -89,7 +89,7 @@ def _peer(path: Path, database: Database) -> tuple[int, float]:
 
 
 def main(argv: list[str]) -> None:
-    """`lpvguard bench can [LOG DBC]`. Exit 1 when a required reaction is missing or late."""
+    """Run `lpvguard bench can [LOG DBC]`; exit with 1 if a required reaction is missing or late."""
     arguments = parser("can", __doc__)
     arguments.add_argument(
         "log", type=Path, nargs="?", help="candump log, also .gz; without: the fault table"

@@ -1,10 +1,11 @@
-"""The whole chain of a vehicle in comparison with one synthesis by a public package, in the same run.
+"""Compare the time of a vehicle's whole chain with one synthesis by a public package, in the same run.
 
-Stages: identification from the drives, the frozen design with its proofs of mu, and the generated C with
-these proofs repeated. Their sum is compared with one K_i synthesis of the paper's case by dkpy. The search
-for a proof at a moving speed has a separate row and is not in the sum. The processors of this machine share
-drives and speeds, as with `--jobs` of the commands; dkpy uses one. The result is the ratio of waiting times.
-Other work on the machine stretches both, so the table also has the ratio of processor seconds.
+The chain has three stages: identification from the drives, the frozen design with its proofs of mu, and the
+generated C code with repeated proofs. The bench compares their total time with one K_i synthesis of the
+paper's case by dkpy. The search for a proof at a moving speed has a separate row and is not in the total. The
+processors of the machine share drives and speeds, like the commands with `--jobs`. dkpy uses one processor.
+The result is the ratio of waiting times. Other work on the machine increases both times, so the table also
+has the ratio of processor seconds.
 """
 
 import os
@@ -28,14 +29,16 @@ from ._peers import Peers
 from .synthesis import PEER_SCRIPT, judged, question
 
 WANTED = 2.0
-"""Chain over the peer's synthesis, in seconds by the clock."""
+"""Wanted ratio of the chain's time to the time of the peer's synthesis, by the clock."""
 PEER_LIMIT_S = 3600.0
 
 
 @dataclass(frozen=True)
 class Stage:
-    """A stage's ``seconds`` by the clock and ``processor`` seconds, of children too; ``summed``: part of the
-    chain's sum."""
+    """Time of a stage by the clock and in processor seconds, children included.
+
+    ``summed`` tells that the stage counts in the total of the chain.
+    """
 
     name: str
     seconds: float
@@ -44,7 +47,7 @@ class Stage:
 
 
 def main(argv: list[str]) -> None:
-    """`lpvguard bench chain DRIVES CASE`."""
+    """Run `lpvguard bench chain DRIVES CASE`."""
     arguments = parser("chain", __doc__)
     arguments.add_argument("drives", type=Path, help="folder of drives with experiments.csv")
     arguments.add_argument("case", type=Path, help="the paper case, tests/data/paper_case.toml")
@@ -60,8 +63,10 @@ def main(argv: list[str]) -> None:
 
 
 def chain(vehicle: str, drives: Path, moving: bool, run: Map = map) -> tuple[list[Stage], float]:
-    """The stages of ``vehicle`` (name or project file) on ``drives``, and the largest mu proved at a frozen
-    speed. ``moving``: with the search at a moving speed. ``run``: the workers."""
+    """Run the stages of a vehicle (name or project file) and return them with the largest proved mu.
+
+    ``moving`` adds the search for a proof at a moving speed. ``run`` maps over the workers.
+    """
     project, stages = load_project(vehicle), []
 
     def timed(name: str, job: Callable[[], Any], summed: bool = True) -> Any:
@@ -91,8 +96,11 @@ def chain(vehicle: str, drives: Path, moving: bool, run: Map = map) -> tuple[lis
 
 
 def synthesis_by_peer(case_path: Path, peers: Peers) -> dict:
-    """dkpy's K_i of the case: {"seconds", "processor", "claimed", "level", "order", "note"}, or {"note": why
-    there is none}."""
+    """Synthesise K_i of the case with dkpy.
+
+    The result has "seconds", "processor", "claimed", "level", "order" and "note", or only "note" with the
+    reason for a missing result.
+    """
     case = read_case(case_path)
     plant = case_plant(case, case["objective"][0], "K_i")
     answer = peers.ask(PEER_SCRIPT, question(plant), PEER_LIMIT_S)
@@ -101,7 +109,7 @@ def synthesis_by_peer(case_path: Path, peers: Peers) -> dict:
 
 
 def ratios(stages: list[Stage], peer: dict) -> tuple[float, float] | None:
-    """The chain's seconds over the peer's, by the clock and of the processor; None without a peer."""
+    """Ratio of the chain's time to the peer's, by the clock and by the processor; None without a peer."""
     if "processor" not in peer:
         return None
     summed = [stage for stage in stages if stage.summed]
@@ -110,7 +118,7 @@ def ratios(stages: list[Stage], peer: dict) -> tuple[float, float] | None:
 
 
 def table(stages: list[Stage], worst: float, peer: dict) -> str:
-    """The rows as text."""
+    """Write the rows as text."""
 
     def row(name: str, seconds: float, processor: float, note: str = "") -> str:
         return f"{name:34}{seconds:>10.1f}{processor:>12.1f}   {note}".rstrip()
@@ -132,7 +140,7 @@ def table(stages: list[Stage], worst: float, peer: dict) -> str:
 
 
 def as_dict(stages: list[Stage], worst: float, peer: dict) -> dict:
-    """The numbers for ``--json``."""
+    """Numbers for ``--json``."""
     both = ratios(stages, peer)
     return {
         "stages": [asdict(stage) for stage in stages],
@@ -146,7 +154,7 @@ def as_dict(stages: list[Stage], worst: float, peer: dict) -> dict:
 
 
 def _processor() -> float:
-    """Processor seconds of this process and of all that it started, as far as they run or were waited for."""
+    """Processor seconds of this process and of its children that still run or were waited for."""
     below: dict[int, list[int]] = {}
     ticks: dict[int, int] = {}
     for stat in Path("/proc").glob("[0-9]*/stat"):

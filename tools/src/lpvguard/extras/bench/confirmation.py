@@ -1,10 +1,10 @@
 """Cost and benefit of confirmation: k of the last m frames must exceed the threshold (THEORY 7.20).
 
-A fleet has frames of 10 s, of the families of ``bench rates``. For every design k of m the tail of the k-th
-largest of the last m scores gives the threshold at a promised rate. Counted are the alarms on fresh hours of
-the same fleet. A fault raises every score by the same amount. Its least size is stated that 95 % of drives
-find within a delay, as a share of the threshold of a single frame. A target of rate and delay chooses the
-design of the least size.
+A fleet has frames of 10 s, from the families of ``bench rates``. A design k of m alarms by the k-th largest
+of the last m scores. The tail of this score gives the threshold for a promised rate. The bench counts the
+alarms in fresh hours of the same fleet. A fault raises every score by the same amount. The table states the
+least size that 95 % of the drives detect within a delay, as a share of the threshold of a single frame. For
+each target of rate and delay, the bench marks the design with the least size.
 """
 
 from functools import partial
@@ -21,23 +21,26 @@ from . import numbers_of, parser, require_at_least, show
 from .rates import BLOCKS, FAMILIES, RATES_PER_1000_H, RECORDING_H
 
 FRAMES, FRAME_S = 3, 10.0
-"""Frames of a block of 30 s, and their length."""
+"""Number of frames in a block of 30 s, and length of a frame."""
 DESIGNS = ((1, 1), (2, 2), (2, 3), (2, 6), (3, 3), (3, 6))
 """Designs k of m."""
 FOUND = 0.95
-"""Share of the drives that find a fault of the stated size."""
+"""Share of the drives that must detect a fault of the stated size."""
 SEARCHED = 2000
-"""Drives of which a fault is found or not."""
+"""Number of drives with a fault."""
 
 
 def confirmed(scores: np.ndarray, k: int, m: int) -> np.ndarray:
-    """k-th largest of the last m scores (recordings, n) along each recording, -inf where there are fewer."""
+    """k-th largest of the last m scores (recordings, n) of each recording; -inf for fewer than k."""
     padded = np.pad(scores, ((0, 0), (m - 1, 0)), constant_values=-np.inf)
     return np.partition(sliding_window_view(padded, m, axis=1), m - k, axis=2)[..., m - k]
 
 
 def least_found(noise: np.ndarray, threshold: float, k: int, m: int) -> float:
-    """Size that FOUND of the drives find with their first frames of a fault, whose noise is (drives, n)."""
+    """Least size of a fault that the share FOUND of the drives detects in its first n frames.
+
+    ``noise`` (drives, n) holds the scores of these frames without the fault.
+    """
     largest = confirmed(noise, k, m).max(axis=1)
     return threshold - float(np.quantile(largest, 1 - FOUND, method="lower"))
 
@@ -49,7 +52,7 @@ def _scores(family: str, seed: list[int], recordings: int) -> np.ndarray:
 def _design(
     family: str, hours: float, fresh_h: float, delays: list[float], seed: int, design: tuple[int, int]
 ) -> list[dict[str, Any]]:
-    """Results of a design at every rate."""
+    """Compute the results of a design for every rate."""
     number = list(FAMILIES).index(family)
     maxima, faulty = [], _scores(family, [seed, number, 3], SEARCHED)
     for part, h in enumerate((hours, fresh_h)):
@@ -83,7 +86,7 @@ def _design(
 def bench_confirmation(
     hours: float, fresh_h: float, delays: list[float], seed: int, jobs: int
 ) -> dict[str, Any]:
-    """All numbers of the table."""
+    """Compute all numbers of the table."""
     rows: list[dict[str, Any]] = []
     for family in FAMILIES:
         with workers(jobs) as run:
@@ -99,7 +102,7 @@ def bench_confirmation(
 
 
 def words(result: dict[str, Any]) -> str:
-    """The table."""
+    """Write the table."""
     delays = list(result["rows"][0]["least"])
     lines = [
         f"thresholds from {result['hours']:g} hours, counted on {result['fresh_h']:g} fresh ones",
@@ -133,7 +136,7 @@ def words(result: dict[str, Any]) -> str:
 
 
 def main(argv: list[str]) -> None:
-    """`lpvguard bench confirmation`."""
+    """Run `lpvguard bench confirmation`."""
     arguments = parser("confirmation", __doc__)
     arguments.add_argument("--hours", type=float, default=30.0, help="hours that set the thresholds")
     arguments.add_argument("--fresh", type=float, default=20_000.0, help="hours on which alarms are counted")

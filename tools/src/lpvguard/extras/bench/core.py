@@ -1,10 +1,9 @@
-"""`lpvguard bench core`: cost of the core on an ECU: ROM, RAM, stack, instructions of every part, processor
-load.
+"""`lpvguard bench core`: ROM, RAM, stack, instructions and processor load of the core on an ECU.
 
-It is measured on emulated Cortex-M4F, M7 and R5F over a seeded drive. The vehicle is that of the budget in
-lib/INTEGRATION.md: the truck with 20 bins, 2 outputs and a controller of 25 states. Every count is of
-executed
-*instructions, not cycles*: multiply by the part's cycles per instruction, flash waits included.
+The bench emulates Cortex-M4F, M7 and R5F during a simulated drive. The vehicle is that of the budget in
+lib/INTEGRATION.md: the truck with 20 bins, 2 outputs and a controller of 25 states. Every count is a number
+of executed *instructions, not cycles*. For cycles, multiply by the processor's cycles per instruction, flash
+waits included.
 """
 
 import json
@@ -35,37 +34,37 @@ WORST_STEP = 10_800  # instructions, Cortex-M4F, everything included
 INIT = 150_000  # instructions, Cortex-M4F
 WORST_TO_MEDIAN = 1.35
 RAM_BYTES = 12_288
-RECORDED_FRAMES = 4  # in that RAM, at least
-ROM_BYTES = 57_344  # of all parts that this image links, the diagnosis of 9.2 kB included
+RECORDED_FRAMES = 4  # at least, in that RAM
+ROM_BYTES = 57_344  # all parts of the image, with 9.2 kB of diagnosis
 STACK_BYTES = 2048
-MONITOR_ROM_BYTES = 16_384  # of an image of the monitor alone, for the shipped g80
+MONITOR_ROM_BYTES = 16_384  # image with only the monitor, for the shipped g80
 MONITOR_RAM_BYTES = 4_096
-EVIDENCE = 300  # instructions of a sample, Cortex-M4F
-XCP_IDLE = 0.02  # of the step, where the XCP slave has nothing to do
-TRUCK_FRAMES = 4  # of its own that the truck sends in a step, at most
+EVIDENCE = 300  # instructions per sample, Cortex-M4F
+XCP_IDLE = 0.02  # share of the step while the XCP slave is idle
+TRUCK_FRAMES = 4  # largest number of own frames that the truck sends in a step
 DENSE_TO_CONTROLLER = 5.0
-"""A step with full matrices takes at least this factor more instructions, under the same scheduling
+"""Least ratio of the instructions of a step with full matrices to those of the core's step
 (firmware_sim/ports/dense_controller.hpp)."""
 CONTROLLER_STATES = 25
 CYCLES_PER_INSTRUCTION = 1.0
-"""Assumed where a share of the processor is given; the report says so."""
+"""Cycles per instruction that the processor load assumes; the report says so."""
 
 
 def budget_project() -> Project:
-    """The truck's project with 20 bins, DC included."""
+    """Project of the truck with 20 bins, DC included."""
     document = load_project("truck").model_dump(by_alias=True)
     document["frames"] |= {"bins_per_decade": 12, "f_max_hz": 1.9}
     return parse_project(document, "truck with 20 bins")
 
 
 def budget_controller(project: Project) -> ControllerCoefficients:
-    """A stable controller of 25 states, scheduled over 8 nodes: the size of the budget, not a design."""
+    """Make a stable controller with 25 states and 8 nodes; it has the budget's size but is not a design."""
     model = NominalModel(project)
     rng = np.random.default_rng(25)
     speeds = np.linspace(*model.speed_range, 8)
     n, Ts = CONTROLLER_STATES, project.Ts_s
     decay, turn = rng.uniform(0.2, 10.0, (2, n // 2))
-    d = np.expm1((-decay + 1j * turn) * Ts)  # a pole less one, of every pair
+    d = np.expm1((-decay + 1j * turn) * Ts)  # pole minus one, for every pair
     a = np.append(np.column_stack([2 * d.real, -(np.abs(d) ** 2)]).ravel(), -1.0)
     scale = np.append(Ts * np.column_stack([np.ones(n // 2), np.abs(d)]).ravel(), 1.0)
     B = (
@@ -87,7 +86,7 @@ def budget_controller(project: Project) -> ControllerCoefficients:
 
 
 def budget_diagnosis(project: Project) -> DiagnosisScales:
-    """Scales of the size of the budget, of no vehicle."""
+    """Make diagnosis scales of the budget's size; they are not those of a vehicle."""
     n_y = project.n_y
     return DiagnosisScales(
         project.Ts_s,
@@ -106,13 +105,13 @@ def budget_diagnosis(project: Project) -> DiagnosisScales:
 
 
 def write_budget_vehicle(folder: Path) -> Project:
-    """A generated folder of the budget's sizes, with placeholder bounds."""
+    """Write a generated folder of the budget's sizes, with placeholder bounds."""
     project = budget_project()
     model = NominalModel(project)
     estimator = Estimator.from_project(project, model)
     W_delta = np.outer(np.linspace(0.1, 0.4, estimator.n_bins), np.ones(project.n_delta))
     B_w = np.outer(np.linspace(0.02, 0.01, estimator.n_bins), np.ones(project.n_y))
-    # Sixth order, the truck project's highest: three sections a Delta.
+    # Order 6 is the largest of the truck's project: three sections for each Delta.
     corners = np.geomspace(0.5, 20.0, 6)
     weight = Weight(0.4 * np.poly(-1.2 * corners), np.poly(-corners))
     energy = EnergyTest.design(
@@ -143,7 +142,7 @@ def write_budget_vehicle(folder: Path) -> Project:
 
 
 def drive_of(project: Project, *, seed: int = 3) -> Input:
-    """A seeded drive, long enough that every bin ends frames that count; the speed moves in every sample."""
+    """Simulate a drive in which every bin completes judged frames and the speed changes in every sample."""
     model = NominalModel(project)
     estimator = Estimator.from_project(project, model)
     n = int(estimator.settle + 1.75 * estimator.length[0])
@@ -160,14 +159,14 @@ def drive_of(project: Project, *, seed: int = 3) -> Input:
     )
     yhat = model.simulate(v, u, model.output_offset)
     scale = np.std(yhat, axis=0)
-    # Twice the gain: frames of the higher bins, whose bounds are wide, pass, and those of the lower bins
-    # falsify.
+    # The gain is doubled. Frames of the lower bins then falsify the model. Frames of the higher bins pass,
+    # because their bounds are wide.
     y = 2.0 * yhat + 0.05 * scale * rng.standard_normal(yhat.shape)
     return Input(v, u, y)
 
 
 def bench_core(targets: tuple[str, ...] = tuple(TARGETS), *, clock_mhz: float = 168.0) -> dict[str, Any]:
-    """The report: one entry a target, and whether results agree with the host's bit for bit.
+    """Measure all targets; each entry also tells whether its results equal the host's bit for bit.
 
     ``load_percent`` is the share of a sample period that the worst step takes at ``clock_mhz``, with one
     cycle per instruction.
@@ -201,8 +200,7 @@ def bench_core(targets: tuple[str, ...] = tuple(TARGETS), *, clock_mhz: float = 
 
 
 def count(target: str, folder: Path, drive: Input) -> dict[str, Any]:
-    """Counts of `run_target` for an ECU project's build, with ``rom_total``, ``worst_to_median`` and
-    ``monitor_only``."""
+    """Return the counts of `run_target` with ``rom_total``, ``worst_to_median`` and ``monitor_only``."""
     run = run_target(target, folder, drive, same_bits=False)
     step = run["parts"]["ecu_step"]
     run["rom_total"] = sum(run["rom"].values())
@@ -215,12 +213,12 @@ def count(target: str, folder: Path, drive: Input) -> dict[str, Any]:
 
 
 def dense_to_controller(run: dict[str, Any]) -> float:
-    """How many times more instructions a step of the same controller takes with full matrices."""
+    """Ratio of a step's instructions with full matrices to those of the core, for the same controller."""
     return run["parts"]["dense_step"]["median"] / run["parts"]["control_step"]["median"]
 
 
 def print_report(report: dict[str, Any]) -> None:
-    """The table, for people."""
+    """Print the table."""
     print(
         f"{report['vehicle']}; counts are {report['unit']}, "
         "read by the program on the target from its own counter"
@@ -259,12 +257,11 @@ def print_report(report: dict[str, Any]) -> None:
 
 
 BUDGET = ("<!-- budget: written by `lpvguard bench core --guide`, do not edit -->\n", "<!-- budget: end -->")
-"""Marks the table in the integration guide."""
+"""Marks at the beginning and at the end of the table in the integration guide."""
 
 
 def monitor_only(target: str) -> dict[str, int]:
-    """Bytes of ``rom`` and ``ram`` that an image takes which calls the monitor of the shipped g80 and nothing
-    else of the core."""
+    """Bytes of ``rom`` and ``ram`` of an image with only the monitor of the shipped g80."""
     at_rest = Input(np.full(2, 10.0), np.zeros((2, 1)), np.zeros((2, 1)))
     alone = run_verdicts(target, shipped_vehicle("g80"), [at_rest], fused=True)
     return {"rom": sum(alone.rom.values()), "ram": alone.ram_bytes}
@@ -302,11 +299,11 @@ GUIDE_ROWS: tuple[tuple[str, str, Callable[[dict[str, Any]], str]], ...] = (
     ("monitor alone, g80: ROM [B]", f"{MONITOR_ROM_BYTES}", lambda run: str(run["monitor_only"]["rom"])),
     ("monitor alone, g80: RAM [B]", f"{MONITOR_RAM_BYTES}", lambda run: str(run["monitor_only"]["ram"])),
 )
-"""Rows of the guide's table: name, budget, and a function for a target's number."""
+"""Rows of the guide's table: name, budget, and function that gives a target's number."""
 
 
 def write_guide(path: Path, report: dict[str, Any]) -> None:
-    """Put the measured table between its marks in the guide. InputError when the guide has none."""
+    """Write the measured table between its marks in the guide; raise InputError without the marks."""
     text = path.read_text(encoding="utf-8")
     before, begin, rest = text.partition(BUDGET[0])
     _, end, after = rest.partition(BUDGET[1])
@@ -325,8 +322,7 @@ def write_guide(path: Path, report: dict[str, Any]) -> None:
 
 
 def main(argv: list[str] | None = None) -> None:
-    """Prints the table: ``lpvguard bench core [--clock-mhz 168] [--target cortex-m4f] [--json]
-    [--guide lib/INTEGRATION.md]``."""
+    """Run ``lpvguard bench core [--clock-mhz 168] [--target cortex-m4f] [--json] [--guide FILE]``."""
     import argparse
 
     parser = argparse.ArgumentParser(description=__doc__)

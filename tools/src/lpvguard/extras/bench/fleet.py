@@ -1,9 +1,8 @@
-"""Many drives: time of `identify` with one and with several workers, and peak memory over the number of
-drives.
+"""Measure `identify` on many drives: time with one and with several workers, and peak memory.
 
-The fleet is synthetic: short drives of the g80's nominal model with another gain, a disturbance and noise,
-with frames of six seconds and less. Both times are the least of two runs, taken in turn; the bounds must have
-the same bits. Memory is the high-water mark of a separate process with one worker.
+The fleet is synthetic: short drives of the g80's nominal model with another gain, a disturbance and noise.
+Its frames last at most six seconds. Each time is the smaller one of two alternating runs. Both numbers of
+workers must give bit-identical bounds. The peak memory is that of a separate process with one worker.
 """
 
 import filecmp
@@ -29,7 +28,7 @@ SHORT_S = 20.0
 
 
 def vehicle() -> Project:
-    """The g80 with short frames."""
+    """Project of the g80 with short frames."""
     document = load_project("g80").model_dump(by_alias=True)
     document["frames"] |= {"f_min_hz": 0.5, "f_max_hz": 2.5, "bins_per_decade": 5}
     document["bounds"]["nu_ceiling"] = {"f_hz": [1.0], "nu": [0.05]}
@@ -38,8 +37,10 @@ def vehicle() -> Project:
 
 
 def write_fleet(folder: Path, count: int, *, duration_s: float = SHORT_S, seed: int = 0) -> None:
-    """A folder of ``count`` drives (Parquet), two in three of split train; drive i is the same in every
-    fleet."""
+    """Write a folder of ``count`` drives (Parquet); two of three drives have the split train.
+
+    Drive i is the same in every fleet.
+    """
     project = vehicle()
     model, index = NominalModel(project), ["experiment,split,driver"]
     folder.mkdir(parents=True)
@@ -59,8 +60,7 @@ def write_fleet(folder: Path, count: int, *, duration_s: float = SHORT_S, seed: 
 
 
 def peak_memory_kib(folder: Path) -> int:
-    """High-water mark [KiB] of a process that identifies the drives of ``folder`` and writes the result
-    (Linux)."""
+    """Peak memory [KiB] of a process that identifies the drives of ``folder`` (Linux)."""
     script = (
         "import sys, tempfile\nfrom pathlib import Path\n"
         "from lpvguard.extras.bench import fleet\nfrom lpvguard.identify import run as stage\n"
@@ -75,7 +75,7 @@ def peak_memory_kib(folder: Path) -> int:
 
 
 def _identified(folder: Path, jobs: int, out: Path) -> float:
-    """Seconds of identify and save with ``jobs`` workers, their start included."""
+    """Seconds to identify and save with ``jobs`` workers, including their start."""
     start = time.perf_counter()
     with workers(jobs) as run:
         stage.save(*stage.identify(vehicle(), folder, workers=run), out)
@@ -83,8 +83,7 @@ def _identified(folder: Path, jobs: int, out: Path) -> float:
 
 
 def bench_fleet(drives: int, duration_s: float, jobs: int, memory: tuple[int, ...]) -> dict:
-    """Seconds with one and with ``jobs`` workers on ``drives`` drives, and peak memory for each number in
-    ``memory``."""
+    """Measure the time with one and with ``jobs`` workers; measure the memory for each number of drives."""
     with tempfile.TemporaryDirectory() as scratch:
         root = Path(scratch)
         write_fleet(root / "drives", drives, duration_s=duration_s)
@@ -114,7 +113,7 @@ def bench_fleet(drives: int, duration_s: float, jobs: int, memory: tuple[int, ..
 
 
 def main(argv: list[str]) -> None:
-    """`lpvguard bench fleet`."""
+    """Run `lpvguard bench fleet`."""
     arguments = parser("fleet", __doc__)
     arguments.add_argument("--drives", type=int, default=200)
     arguments.add_argument("--duration", type=float, default=300.0, help="seconds of each of them")

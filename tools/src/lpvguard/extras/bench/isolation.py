@@ -1,11 +1,12 @@
-"""Which part a fault is named as: the confusion table of a car with four redundant outputs (THEORY 7.21).
+"""Confusion table of fault isolation for a car with four redundant outputs (THEORY 7.21).
 
-The scales come from an hour of healthy drives of the synthetic car (_redundant_car.py). Every fault
-begins in each of ``--drives`` other drives. The window after it is judged. The column "predicted" says yes
-where the table of isolability tells the part from every other one at the fault's size.
+The scales come from an hour of healthy drives of the synthetic car (_redundant_car.py). Every fault begins in
+each of ``--drives`` other drives, and the window after its beginning is judged. The column "predicted" says
+yes if the table of isolability distinguishes the part from every other part at the fault's size.
 
-``--vehicle`` and ``--data`` judge measured drives of a project with [isolation] instead. Faults of every
-sensor are planted in pieces of drives. The scales come from the other drives, or the other pieces of one.
+With ``--vehicle`` and ``--data``, the bench judges measured drives of a project with [isolation]. It plants
+faults of every sensor in pieces of drives. The scales come from the other drives. With a single drive, they
+come from its other pieces.
 """
 
 from collections import Counter
@@ -28,13 +29,13 @@ from ._planted_parts import held_out, pieces_of, planted
 from ._redundant_car import DOUBLE, FAULTS, FURTHER, PartFault, redundant_drives, redundant_project
 
 HEALTHY_DRIVES, HEALTHY_S, FROM_S = 20, 180.0, 40.0
-"""Drives of the scales and their length [s]; begin of a fault [s]."""
+"""Number and length [s] of the drives for the scales; time at which a fault begins [s]."""
 KINDS = ("right", "one of", "wrong", "no single", "healthy")
-"""Outcomes: the part alone, the part among others, other parts, none that explains it, no difference."""
+"""Outcomes: only the right part, the right part among others, other parts, no part, no difference."""
 
 
 def outcome(parts: tuple[str, ...], differs: bool, true: set[str]) -> str:
-    """Outcome of KINDS of a window; ``true``: parts at fault."""
+    """Return the outcome (one of KINDS) of a window; ``true`` holds the faulty parts."""
     if not differs:
         return "healthy"
     if not parts:
@@ -45,7 +46,7 @@ def outcome(parts: tuple[str, ...], differs: bool, true: set[str]) -> str:
 
 
 def predicted(isolation: Isolation, fault: PartFault) -> bool:
-    """Return whether the table of isolability tells the fault's part from every other one."""
+    """Tell if the table of isolability distinguishes the fault's part from every other part."""
     what, size = {
         "gain": (f"{fault.signal} gain", abs(fault.value - 1)),
         "bias": (f"{fault.signal} bias", fault.value),
@@ -59,23 +60,23 @@ def predicted(isolation: Isolation, fault: PartFault) -> bool:
 
 
 def _is_isolable(isolation: Isolation, what: str, size: float) -> bool:
-    """Return whether a size is at least what tells its part from every other one in a window."""
+    """Tell if a size is large enough to distinguish its part from every other part in a window."""
     return max(isolation.isolable()[what].values()) <= size
 
 
 Named = tuple[tuple[str, ...], bool]
-"""Parts that a window names, and whether it differs."""
+"""Parts that a window names, and whether the window differs from the model."""
 
 
 def _named(changes: Changes, isolation: Isolation, drive: Drive, from_s: float = FROM_S) -> Named:
-    """Parts that the window after ``from_s`` names, and whether it differs."""
+    """Judge the window after ``from_s``: the named parts, and whether the window differs from the model."""
     stretches = list(changes.blocks(drive, from_s, from_s + isolation.window_s))
     finding = isolation.name(isolation.evidence(stretches))
     return finding.parts, finding.differs
 
 
 def _row(fault: str, part: str, isolable: bool | None, named: Iterable[Named]) -> dict[str, Any]:
-    """Row of the table; ``part``: parts at fault, joined by "and"."""
+    """Make a row of the table; ``part`` holds the faulty parts, joined by "and"."""
     named = list(named)
     counts = Counter(outcome(parts, differs, set(part.split(" and "))) for parts, differs in named)
     return {
@@ -129,9 +130,9 @@ def bench_isolation(drives: int, window_s: float, seed: int, jobs: int) -> dict[
 
 
 def bench_measured(project: Project, drives: list[Drive], window_s: float, size: float) -> dict[str, Any]:
-    """The numbers of planted faults in measured drives, ``size`` times the usual ones.
+    """Compute the numbers for faults planted in measured drives; ``size`` is a factor of the usual sizes.
 
-    InputError where the drives are too few.
+    Raises InputError if there are too few drives.
     """
     changes = Changes(project, NominalModel(project))
     pieces = pieces_of(changes, drives, window_s)
@@ -186,7 +187,7 @@ def words(result: dict[str, Any]) -> str:
 
 
 def _measured(vehicle: str | None, data: Path | None) -> tuple[Project, list[Drive]]:
-    """Project and drives of the options; InputError where one lacks, or there is no [isolation]."""
+    """Load the project and the drives of the options; raise InputError if one or [isolation] is missing."""
     if vehicle is None or data is None:
         raise InputError("bench isolation", "--vehicle and --data", "one is missing", "both or none")
     project = load_project(vehicle)
@@ -197,7 +198,7 @@ def _measured(vehicle: str | None, data: Path | None) -> tuple[Project, list[Dri
 
 
 def main(argv: list[str]) -> None:
-    """`lpvguard bench isolation`."""
+    """Run `lpvguard bench isolation`."""
     arguments = parser("isolation", __doc__)
     arguments.add_argument("--drives", type=int, default=50, help="drives of each fault")
     arguments.add_argument("--window", type=float, default=60.0, help="s of driving that a name rests on")

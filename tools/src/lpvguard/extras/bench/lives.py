@@ -1,12 +1,13 @@
-"""Lives of vehicles: how often the wealth of a healthy one ever alarms, and how soon that of a worn one.
+"""Simulate lives of vehicles: how often a healthy vehicle ever alarms, and how soon a worn vehicle alarms.
 
-The pool is synthetic: drives of the synthetic car (drives/fixture.py) through the shipped g80's compiled
-core. Every drive has a gain, normal around 1, for load, tyres and road. It is run with its output at each of
-GAINS; a life interpolates a score between two of them. Calibration sets and lives are drawn from the pool
-with replacement, a fresh set a life. The worst twentieth of the sets, ranked by the distance of their true
-tails from the bounds of THEORY (T35), lives again many times.
+The pool is synthetic: the compiled core of the shipped g80 runs drives of the synthetic car
+(drives/fixture.py). Each drive has a random gain with mean 1, for load, tyres and road. Its output is also
+scaled by each of GAINS. A life interpolates its scores between these gains. Each life draws its own
+calibration set and its recordings from the pool, with replacement. The sets are ranked by the distance of
+their true tails from the bounds of THEORY (T35). The worst twentieth of the sets is used for many further
+lives.
 
-A drifting life is healthy for a number of recordings; then its gain falls to 0.9 over the next hundred.
+A drifting life is first healthy for a number of recordings. Its gain then falls to 0.9 over the next hundred.
 """
 
 from collections.abc import Callable
@@ -35,25 +36,24 @@ DURATION_S = 110.0
 SPEEDS_MPS = (5.0, 15.5)
 SIZES = (11, 100)
 DRIFT, LEAST_GAIN, STATED_GAIN, WITHIN = 100, 0.9, 0.92, 30
-"""Recordings over which the gain falls, its end value, and the gain and recordings that define "found in
-time"."""
+"""Number of recordings over which the gain falls, and its end value; gain and number of recordings that
+define "found in time"."""
 HEALTHY_BEFORE = (0, 500)
 WORST = 0.05
 AGAIN = 100
-"""Further lives of each of the worst sets."""
+"""Number of further lives for each of the worst sets."""
 
 
 @dataclass(frozen=True)
 class Pool:
-    """scores (drives, gains): of core-run drives; alarmed (drives, gains) bool: the core's own verdict was
-    invalid or degraded while the score was taken."""
+    """Scores of the pool, and the alarms of the core's own verdict meanwhile; each is (drives, gains)."""
 
     scores: np.ndarray
     alarmed: np.ndarray
 
 
 def _drive_scores(replayer: Replayer, spread: float, seed: int, index: int) -> list[tuple[float, bool]]:
-    """Score and alarm of a drive of the pool at each of GAINS."""
+    """Compute the score and the alarm of a drive at each of GAINS."""
     random = np.random.default_rng([seed, index])
     own = 1.0 + spread * random.standard_normal()
     Ts = replayer.project.Ts_s
@@ -71,7 +71,7 @@ def _drive_scores(replayer: Replayer, spread: float, seed: int, index: int) -> l
 
 
 def make_pool(drives: int, spread: float, seed: int, run: Map = map) -> Pool:
-    """Pool of drives whose gains have a standard deviation of ``spread``."""
+    """Make a pool of drives whose gains have a standard deviation of ``spread``."""
     replayer = replayer_for(load_project(VEHICLE), None, VEHICLE)
     scores = list(run(partial(_drive_scores, replayer, spread, seed), range(drives)))
     table = np.array(scores, float)
@@ -81,10 +81,10 @@ def make_pool(drives: int, spread: float, seed: int, run: Map = map) -> Pool:
 def first_alarms(
     levels: np.ndarray, bets: np.ndarray, scores: Callable[[int], np.ndarray], recordings: int
 ) -> np.ndarray:
-    """Compute the recording that alarms first (lives,), 0 for never, for many lives at once.
+    """Compute the first recording with an alarm (lives,), 0 for never, for many lives at once.
 
-    Each life has a calibration set with ``levels`` (lives, K). The bets are ``bets`` (K + 1, bets).
-    ``scores(t)`` (lives,) are the scores of recording t.
+    ``levels`` (lives, K) belongs to the calibration set of each life. ``bets`` has the shape (K + 1, bets).
+    ``scores(t)`` returns the scores (lives,) of recording t.
     """
     alarm = alarm_wealth(ALPHA)
     wealth, first = np.zeros((len(levels), len(POWERS)), np.float32), np.zeros(len(levels), int)
@@ -96,13 +96,13 @@ def first_alarms(
 
 
 def drawn_levels(pool: Pool, n: int, sets: int, random: np.random.Generator) -> np.ndarray:
-    """Levels (sets, K) of calibration sets of n, drawn from the healthy scores with replacement."""
+    """Draw calibration sets of n healthy scores, with replacement; return their levels (sets, K)."""
     chosen = random.choice(pool.scores[:, 0], (sets, n))
     return np.sort(chosen, axis=1)[:, ranks(n) - 1]
 
 
 def healthy_lives(pool: Pool, n: int, lives: int, recordings: int, seed: int) -> dict:
-    """Shares of healthy lives that ever alarm: over fresh calibration sets, and the worst 5 % of them."""
+    """Share of healthy lives that ever alarm, over fresh calibration sets and over the worst 5 % of them."""
     random = np.random.default_rng([seed, n])
     levels, tails = drawn_levels(pool, n, lives, random), simultaneous_tails(n, ETA)
     bets, healthy = factors(tails), pool.scores[:, 0]
@@ -114,7 +114,7 @@ def healthy_lives(pool: Pool, n: int, lives: int, recordings: int, seed: int) ->
     again = np.repeat(levels[worst], AGAIN, axis=0)
     repeated = first_alarms(again, bets, lambda _: random.choice(healthy, len(again)), recordings)
     of_set = (repeated.reshape(len(worst), AGAIN) > 0).mean(axis=1)
-    table = LifeTable.from_scores(range(n), ALPHA, ETA)  # the earliest alarm asks for no scores
+    table = LifeTable.from_scores(range(n), ALPHA, ETA)  # the earliest alarm does not depend on the scores
     return {
         "n": n,
         "ever": rate(int((first > 0).sum()), lives),
@@ -128,7 +128,7 @@ def healthy_lives(pool: Pool, n: int, lives: int, recordings: int, seed: int) ->
 
 
 def drifting_lives(pool: Pool, n: int, healthy: int, lives: int, seed: int) -> dict:
-    """Times at which drifting lives are found; ``healthy`` recordings come before."""
+    """Compute when drifting lives alarm; ``healthy`` recordings precede the drift."""
     random = np.random.default_rng([seed, n, healthy + 1])
     levels, bets = drawn_levels(pool, n, lives, random), factors(simultaneous_tails(n, ETA))
 
@@ -170,7 +170,7 @@ def bench_lives(pool: Pool, lives: int, recordings: int, seed: int) -> dict:
 
 
 def _share(share: dict) -> str:
-    """Without an interval: lives of one set are no draws of their own."""
+    """Write a share without an interval, because the lives of one set are not independent."""
     return f"{share['count']} of {share['of']}, {100 * share['count'] / share['of']:.2f} %"
 
 
@@ -202,7 +202,7 @@ def words(r: dict) -> str:
 
 
 def main(argv: list[str]) -> None:
-    """`lpvguard bench lives`."""
+    """Run `lpvguard bench lives`."""
     arguments = parser("lives", __doc__)
     arguments.add_argument("--drives", type=int, default=300, help="core-run drives of the pool")
     arguments.add_argument(

@@ -1,11 +1,11 @@
-"""Every certificate of a design against loops that try to refute it, and the least rate of a violation.
+"""Try to refute every certificate of a design with random loops, and search the least rate with a violation.
 
-The first table has loops drawn within the limits of each certificate, each with its worst input found
-(bench/_trials.py). It shows for every proof the worst found number over the proved one. None may be above 1.
-The second table has the proved rate and the least |dv/dt| at which a search finds a gain above 1, or growth.
-The search uses an admissible Delta (control/violations.py). A row that is not found proves nothing. A line
-between the tables compares the largest mu at a frozen speed with the largest optimum of controllers for one
-speed. The difference is the price of a controller that is scheduled, or synthesised for other objectives.
+The first table has random loops within the limits of each certificate, each with its worst input
+(bench/_trials.py). For every proof, it shows the worst number divided by the proved number. No ratio may be
+above 1. The second table has the proved rate, and the least |dv/dt| at which a search finds a gain above 1,
+or growth. The search uses admissible Delta (control/violations.py). A search without a violation proves
+nothing. A line between the tables compares the largest mu at a frozen speed with the largest optimum of
+controllers for one speed. The difference is the cost of scheduling, or of synthesis for other objectives.
 """
 
 import argparse
@@ -24,15 +24,19 @@ from ._trials import NEAR, Trial, Trials
 
 LOOPS, SEED, SAMPLES = 500, 21, 3000
 LARGEST_MPS2, SMALLEST_MPS2 = 50.0, 0.015
-"""Range of rates in the search for a violation; a vehicle brakes with a fifth of the largest."""
+"""Range of rates in the search for a violation. A braking vehicle reaches about a fifth of the largest
+rate."""
 WANTED = 0.5
-"""Proved rate over least violating rate."""
+"""Wanted ratio of the proved rate to the least violating rate."""
 
 
 @dataclass(frozen=True)
 class ClaimRow:
-    """``loops`` trials of a ``claim``, at ``rate_mps2`` (None: frozen speeds). ``worst``: the largest share
-    of the bound that was reached, ``where``. ``above``: how many refute."""
+    """Trials of a claim at ``rate_mps2`` (None: frozen speeds).
+
+    ``worst`` is the largest reached share of the bound, and ``where`` describes its loop. ``above`` is the
+    number of trials that refute the claim.
+    """
 
     claim: str
     rate_mps2: float | None
@@ -44,8 +48,7 @@ class ClaimRow:
 
 @dataclass(frozen=True)
 class FrozenMu:
-    """The largest proved ``mu`` at a frozen speed, at ``v_mps``, and the largest ``optimum`` of controllers
-    for one speed alone, at ``optimum_v_mps``."""
+    """Largest proved ``mu`` at a frozen speed, and largest ``optimum`` of controllers for a single speed."""
 
     mu: float
     v_mps: float
@@ -55,8 +58,10 @@ class FrozenMu:
 
 @dataclass(frozen=True)
 class RateRow:
-    """``proved_mps2`` (None: nothing) beside ``violating_mps2``, the least rate with a violation found (None:
-    none up to ``tried_mps2``). ``without_mps2``: the largest rate below it at which the search found none."""
+    """Proved rate (None: nothing proved) and least violating rate (None: none up to ``tried_mps2``).
+
+    ``without_mps2`` is the largest rate below the violating rate at which the search found no violation.
+    """
 
     claim: str
     proved_mps2: float | None
@@ -66,12 +71,12 @@ class RateRow:
 
     @property
     def ratio(self) -> float | None:
-        """Proved over violating rate; None where nothing violates."""
+        """Ratio of the proved rate to the violating rate; None without a violation."""
         return None if self.violating_mps2 is None else (self.proved_mps2 or 0.0) / self.violating_mps2
 
 
 def main(argv: list[str]) -> None:
-    """`lpvguard bench proofs IDENTIFICATION DESIGN`."""
+    """Run `lpvguard bench proofs IDENTIFICATION DESIGN`."""
     arguments = parser("proofs", __doc__)
     arguments.add_argument("identification", type=Path, help="folder written by identify")
     arguments.add_argument("design", type=Path, help="folder written by design")
@@ -102,7 +107,7 @@ def _count(text: str) -> int:
 
 
 def claim_rows(trials: Trials, loops: int) -> list[ClaimRow]:
-    """A row a certificate; ``loops`` are shared out evenly, and each has at least one."""
+    """Make a row for each certificate; the certificates share ``loops`` evenly, with at least one each."""
     claims = list(trials.claims())
     rows = []
     for k, (name, rate, job) in enumerate(claims):
@@ -117,13 +122,13 @@ def _row(name: str, rate: float | None, trials: list[Trial]) -> ClaimRow:
 
 
 def frozen_mu(stored: identify.StoredIdentification, certificates: dict) -> FrozenMu:
-    """The largest mu of ``certificates`` over frozen speeds, beside the largest optimum."""
+    """Find the largest mu of ``certificates`` over frozen speeds, and the largest optimum."""
     worst = worst_frozen(certificates)
     return FrozenMu(worst["mu_upper"], worst["v_mps"], *frozen_optimum(stored))
 
 
 def rate_rows(trials: Trials) -> list[RateRow]:
-    """The ladder of rates for stability and for performance."""
+    """Search the least violating rate for stability and for performance."""
     stated = trials.stated["moving_speed"]
 
     def grows(rate: float) -> bool:
@@ -148,7 +153,7 @@ def rate_rows(trials: Trials) -> list[RateRow]:
 
 
 def lines(claims: list[ClaimRow], frozen: FrozenMu, rates: list[RateRow]) -> Iterator[str]:
-    """Both tables in text, and the line between them."""
+    """Write both tables as text, with the line between them."""
     yield f"{'proof':30}{'m/s2':>7}{'loops':>7}{'worst':>8}{'above':>7}  where the worst was found"
     for row in claims:
         rate = "-" if row.rate_mps2 is None else f"{row.rate_mps2:.3g}"
@@ -179,7 +184,7 @@ def lines(claims: list[ClaimRow], frozen: FrozenMu, rates: list[RateRow]) -> Ite
 
 
 def as_dict(claims: list[ClaimRow], frozen: FrozenMu, rates: list[RateRow]) -> dict:
-    """The numbers for ``--json``."""
+    """Numbers for ``--json``."""
     return {
         "claims": [asdict(row) for row in claims],
         "above": sum(row.above for row in claims),

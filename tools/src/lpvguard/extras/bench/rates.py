@@ -1,13 +1,13 @@
-"""Rates of alarms that extrapolate: promised beside counted, on fleets whose tail is known (THEORY 7.20).
+"""Compare promised and counted alarm rates by extrapolation, for fleets with a known tail (THEORY 7.20).
 
-A fleet is recordings of 15 minutes, each 30 blocks of 30 s with a score. Its tail is fitted as `identify`
-does with ``alarms_per_1000_h``. Counted are the exceedances of the threshold on fresh hours of the same
-fleet. The scores of a family are exponential, Pareto (shape 0.25) or bounded (shape -0.25). Recordings that
-differ are exponential, each with a scale of its own, and together Pareto of shape 0.25. In clusters every
-score lasts two blocks.
+A fleet has recordings of 15 minutes: 30 blocks of 30 s with one score each. Its tail is fitted as by
+`identify` with ``alarms_per_1000_h``. The bench counts the exceedances of the threshold in fresh hours of the
+same fleet. The scores of a family are exponential, Pareto (shape 0.25) or bounded (shape -0.25). In the
+family "differing", each recording is exponential with its own scale, and all recordings together are Pareto
+with shape 0.25. In the family "clusters", every score lasts two blocks.
 
-Covered is the share of fleets whose true rate lies within the interval of 95 %. Kept is the share whose true
-rate is at most the promised one where the threshold is the upper end (``rate_confidence``).
+"Covered" is the share of fleets whose true rate lies within the 95 % interval. "Kept" is the share whose true
+rate is at most the promised one if the threshold is the upper end (``rate_confidence``).
 """
 
 from collections.abc import Callable
@@ -52,18 +52,18 @@ FAMILIES: dict[str, tuple[Callable[[np.random.Generator, int, int], np.ndarray],
     "differing": (_differing, SHAPE),
     "clusters": (_clusters, 0.0),
 }
-"""Scores (recordings, n) of n steps of recordings, and the shape of their tail, of scale 1, by family."""
+"""By family: function that draws scores (recordings, n), and the shape of their tail with scale 1."""
 
 
 def true_rate(shape: float, threshold: float) -> float:
-    """Exceedances of a threshold an hour."""
+    """Compute the true number of exceedances of a threshold per hour."""
     if shape == 0:
         return BLOCKS_PER_H * float(np.exp(-threshold))
     return BLOCKS_PER_H * max(0.0, 1 + shape * threshold) ** (-1 / shape)
 
 
 def _fleet(family: str, hours: float, fresh: np.ndarray, seed: int, index: int) -> list[dict[str, float]]:
-    """Results of a fleet at every rate; ``fresh``: the family's sorted peaks on other hours."""
+    """Compute the results of a fleet for every rate; ``fresh`` holds the sorted peaks of other hours."""
     draw, shape = FAMILIES[family]
     scores = draw(np.random.default_rng([seed, index, round(hours)]), round(hours / RECORDING_H), BLOCKS)
     names = [str(i) for i in range(len(scores))]
@@ -89,13 +89,13 @@ def _fleet(family: str, hours: float, fresh: np.ndarray, seed: int, index: int) 
 
 
 def bench_rates(fleets: int, hours: list[float], fresh_h: float, seed: int, jobs: int) -> dict[str, Any]:
-    """All numbers of the table."""
+    """Compute all numbers of the table."""
     rows = []
     for number, (family, (draw, _)) in enumerate(FAMILIES.items()):
         random = np.random.default_rng([seed, 10**6 + number])
         other = draw(random, round(fresh_h / RECORDING_H), BLOCKS)
         if family == "clusters":
-            other = other[:, ::2]  # every score once
+            other = other[:, ::2]  # each score counts once
         fresh = np.sort(other.ravel())[-round(fresh_h) :]
         for h in hours:
             with workers(jobs) as run:
@@ -118,7 +118,7 @@ def bench_rates(fleets: int, hours: list[float], fresh_h: float, seed: int, jobs
 
 
 def words(result: dict[str, Any]) -> str:
-    """The table."""
+    """Write the table."""
     lines = [
         f"{result['fleets']} fleets a row, counted on {result['fresh_h']:g} fresh hours",
         "family       hours  promised  counted per 1000 h: 5 %, median, 95 %   covered; kept",
@@ -133,7 +133,7 @@ def words(result: dict[str, Any]) -> str:
 
 
 def main(argv: list[str]) -> None:
-    """`lpvguard bench rates`."""
+    """Run `lpvguard bench rates`."""
     arguments = parser("rates", __doc__)
     arguments.add_argument("--fleets", type=int, default=100, help="fleets of each family and size")
     arguments.add_argument("--hours", default="10,100", help="hours of a fleet, comma between")

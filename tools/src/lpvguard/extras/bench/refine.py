@@ -1,14 +1,15 @@
-"""`lpvguard bench refine`: rounds of refinement over a simulated fleet, some vehicles of which wear.
+"""`lpvguard bench refine`: rounds of refinement over a simulated fleet with some worn vehicles.
 
-`g80`: cars of drives/fixture.py; a car's gain is its own, as from tyres and load. `truck`: trucks of
-firmware_sim/plant with loads, tyres, friction and brakes of their own. The first identification knows drives
-of one vehicle. In each round every vehicle gives some drives. A person accepts all that `refine` does not
-take for a fault. With ``--inspect`` the person inspects vehicles that it takes for faulty, and accepts those
-that did not wear.
+`g80` simulates cars of drives/fixture.py, each with its own gain from tyres and load. `truck` simulates
+trucks of firmware_sim/plant, each with its own loads, tyres, friction and brakes. The first identification
+uses drives of one vehicle. In each round, every vehicle adds some drives. A person accepts all drives that
+`refine` does not judge faulty. With ``--inspect``, the person also inspects vehicles with faulty drives, and
+accepts the vehicles without wear.
 
-The table counts before a round learns. It counts healthy drives that alarm, that refute the certificate set,
-and that alarm with a gain fault from their first sample on. It also counts worn drives that were learnt. A
-worn vehicle's response, or its brake, falls from 1 to 0.7 over the rounds.
+The table counts drives before each round learns from them. Three counts are of healthy drives: those that
+alarm, those that refute the certified model set, and those that alarm with an added gain fault. It also
+counts worn drives that were learnt. The response or the brake of a worn vehicle falls from 1 to 0.7 over the
+rounds.
 """
 
 import tempfile
@@ -40,9 +41,9 @@ from ..refine.renewed import renew
 from . import parser, require_at_least, show
 
 FAULT = 0.7
-"""Gain of the fault, and the gain to which the worn vehicle falls."""
+"""Gain of the fault, and final gain of the worn vehicle."""
 TAKEN_FOR_HEALTHY = 0.85
-"""A worn drive with a gain below this must not be learnt."""
+"""A worn drive with a gain below this value must not be learnt."""
 WORN = "worn"
 VARIATION = {
     "load_ratio": 0.2,
@@ -50,14 +51,14 @@ VARIATION = {
     "cornering_stiffness_rear_ratio": 0.08,
     "brake_gain_ratio": 0.05,
 }
-"""Standard deviations of what differs between trucks, around 1."""
+"""Standard deviation of each property between trucks; the mean is 1."""
 KNOWN_SPEEDS, SWEEPS_BAR = (8.1, 12.0, 17.0, 21.9), (0.24, 0.8, 2.1)
 CALIBRATING_SPEEDS = (8.5, 9.5, 11.0, 13.0, 15.0, 17.0, 19.0, 21.0, 21.5)
 PROGRAMMES = ("pulses", "telegraph", "multisine")
 
 
 class Fleet(Protocol):
-    """A kind of vehicle: the project, a folder of known drives, and drives of any vehicle of the fleet."""
+    """Kind of vehicle: its project, its known drives, and drives of any vehicle of the fleet."""
 
     project: Project
 
@@ -65,20 +66,20 @@ class Fleet(Protocol):
         """Write the drives of the first identification."""
 
     def drive(self, path: Path, own: np.random.Generator, gain: float, seconds: float, seed: int) -> None:
-        """Write a drive of the vehicle that ``own`` draws, with its response times ``gain``."""
+        """Write a drive of the vehicle with properties drawn by ``own``; ``gain`` multiplies its response."""
 
 
 class Cars:
-    """Cars whose gain is their own."""
+    """Cars that each have their own gain."""
 
     project = load_project("g80")
 
     def known(self, folder: Path, seed: int) -> None:
-        """As `lpvguard generate`."""
+        """Write the drives of `lpvguard generate`."""
         generate(self.project, folder, seed)
 
     def drive(self, path: Path, own: np.random.Generator, gain: float, seconds: float, seed: int) -> None:
-        """Mean speed from 7 to 15 m/s."""
+        """Write a drive with a mean speed from 7 to 15 m/s."""
         random = np.random.default_rng([seed])
         speed = float(random.uniform(7.0, 15.0))
         columns, _ = fixture.drive_columns(random, speed, seconds, self.project.Ts_s, None)
@@ -87,12 +88,12 @@ class Cars:
 
 
 class Trucks:
-    """Trucks with VARIATION; ``gain`` is of the brakes."""
+    """Trucks that differ by VARIATION; ``gain`` multiplies the brakes."""
 
     project = load_project("truck")
 
     def known(self, folder: Path, seed: int) -> None:
-        """Sweeps and manoeuvres of the truck as of truck.toml."""
+        """Write sweeps and manoeuvres of the truck of truck.toml."""
         folder.mkdir()
         plan = [("train", p, v, 180.0, 0.25, 1.0) for v in KNOWN_SPEEDS for p in PROGRAMMES]
         plan += [("sweep", "sweep", v, 299.0, u, u) for v in KNOWN_SPEEDS for u in SWEEPS_BAR]
@@ -106,7 +107,7 @@ class Trucks:
         write_files(folder, {"experiments.csv": index_text(rows, "driver")})
 
     def drive(self, path: Path, own: np.random.Generator, gain: float, seconds: float, seed: int) -> None:
-        """Three speeds, one programme of the brakes."""
+        """Write a drive with three speeds and one programme of the brakes."""
         variation = {key: 1 + sd * own.standard_normal() for key, sd in VARIATION.items()}
         variation["brake_gain_ratio"] *= gain
         random = np.random.default_rng([seed])
@@ -134,7 +135,7 @@ FLEETS: dict[str, Fleet] = {"g80": Cars(), "truck": Trucks()}
 
 @dataclass(frozen=True)
 class FleetSize:
-    """Size of a fleet and its rounds, as of the options of `main`."""
+    """Size of a fleet and its rounds, from the options of `main`."""
 
     vehicles: int
     worn: int
@@ -183,7 +184,7 @@ def _fault_found(replayer: Replayer, experiment: Experiment) -> bool:
 
 
 def _inspected(signed: Decisions, healthy: set[str]) -> Decisions:
-    """Accept drives of vehicles that were taken for faulty and, as an inspection shows, did not wear."""
+    """Accept drives that were judged faulty if their vehicle is healthy, as an inspection would show."""
     drives = [
         replace(d, action=SPREAD, accept=True, why="inspected")
         if d.proposal == FAULTY and d.name in healthy
@@ -196,7 +197,7 @@ def _inspected(signed: Decisions, healthy: set[str]) -> Decisions:
 def rounds(
     fleet: Fleet, scratch: Path, seed: int, size: FleetSize, run: Map = map
 ) -> Iterator[dict[str, Any]]:
-    """Results of each round of one fleet."""
+    """Yield the results of each round of one fleet."""
     known = scratch / "known"
     folder = scratch / "identified"
     fleet.known(known, seed)
@@ -235,7 +236,7 @@ def rounds(
 
 
 def words(result: dict[str, Any]) -> str:
-    """The table for people."""
+    """Write the table."""
     lines = [
         f"{result['vehicle']}: {result['vehicles']} healthy vehicles and {result['worn']} worn, "
         f"{result['drives']} drives of {result['seconds']:g} s each a round, {len(result['seeds'])} fleets",
@@ -252,7 +253,7 @@ def words(result: dict[str, Any]) -> str:
 
 
 def main(argv: list[str]) -> None:
-    """`lpvguard bench refine`."""
+    """Run `lpvguard bench refine`."""
     arguments = parser("refine", __doc__)
     arguments.add_argument("--vehicle", choices=sorted(FLEETS), default="g80")
     arguments.add_argument("--vehicles", type=int, default=4, help="healthy vehicles")

@@ -1,9 +1,9 @@
-"""Certificates in comparison with the truth.
+"""Compare certificates with the simulated truth.
 
-First, the certified gain is simulated: sampled and worst stable Delta with the compiled controller at several
-speeds. Then the simulated truck is measured with sines over speed, amplitude and frequency. The margins of
-the loop around its response are compared with the promised ones. The distance of the response from the
-nominal model is compared with W_delta.
+The bench first tests the certified gain: it simulates random and worst stable Delta with the compiled
+controller at several speeds. It then measures the simulated truck with sines over speed, amplitude and
+frequency. It compares the margins of the loop with the measured response to the promised margins. It compares
+the distance between the response and the nominal model with W_delta.
 """
 
 from collections.abc import Iterator, Sequence
@@ -29,14 +29,15 @@ from . import numbers_of, parser, show
 DRAWS = 500
 SPEEDS = 12
 OMEGA = np.concatenate([np.geomspace(0.02, 1.0, 20, endpoint=False), np.geomspace(1.0, 60.0, 72)])
-"""[rad/s] From below the steering task to where the loop's gain is small; dense where the truck resonates."""
+"""Frequencies [rad/s] from below the steering task to the range of small loop gain, dense at the truck's
+resonance."""
 PROCESSES = 2
 AMPLITUDES_BAR = (0.25, 0.5, 1.0, 2.0)
-"""Default amplitudes, without those of the command or the project file."""
+"""Default amplitudes, used if neither the command nor the project file states amplitudes."""
 
 
 def main(argv: list[str]) -> None:
-    """`lpvguard bench robust IDENTIFICATION DESIGN VEHICLE`."""
+    """Run `lpvguard bench robust IDENTIFICATION DESIGN VEHICLE`."""
     arguments = parser("robust", __doc__)
     arguments.add_argument("identification", type=Path, help="folder written by identify")
     arguments.add_argument("design", type=Path, help="folder written by design")
@@ -76,8 +77,10 @@ def main(argv: list[str]) -> None:
 
 
 def amplitudes(text: str | None, of_project: Sequence[float] | None) -> list[float]:
-    """The amplitudes [bar] of ``--amplitudes``, or of the project file, or AMPLITUDES_BAR; InputError unless
-    all are positive numbers."""
+    """Choose the amplitudes [bar]: of ``--amplitudes``, else of the project file, else AMPLITUDES_BAR.
+
+    Raises InputError unless all amplitudes are positive numbers.
+    """
     if text is None:
         return list(of_project or AMPLITUDES_BAR)
     return numbers_of("robust", "--amplitudes", text, lambda u: 0 < u < np.inf, "positive numbers")
@@ -86,10 +89,10 @@ def amplitudes(text: str | None, of_project: Sequence[float] | None) -> list[flo
 def true_table(
     loop: CertifiedLoop, demanded: Sequence[float], run_all: Map, tables: str = ""
 ) -> dict[str, Any]:
-    """The fields ``amplitudes``, ``promised``, ``true`` and ``beyond`` of robust.json, for SPEEDS speeds over
-    the model's range and each amplitude ``demanded`` [bar].
+    """Compute the fields ``amplitudes``, ``promised``, ``true`` and ``beyond`` of robust.json.
 
-    ``tables``: variation and faults of the truck, as scenario tables.
+    The table has SPEEDS speeds over the model's range, and each amplitude of ``demanded`` [bar]. ``tables``
+    states the variation and the faults of the truck, as scenario tables.
     """
     speeds = np.linspace(*loop.model.speed_range, SPEEDS).tolist()
     plan = [(v, a, u) for v in speeds for a, u in zip(demanded, loop.amplitudes(v, demanded), strict=True)]
@@ -109,7 +112,7 @@ def _measured(tables: str, point: tuple[float, float, float]) -> MeasuredRespons
 
 
 def _fields(margins: LoopMargins | None) -> dict[str, Any] | None:
-    """Each margin's value and place; None where there are none to have. A value of None is unlimited."""
+    """Value and place of each margin, None for an unstable loop; a value of None means unlimited."""
     if margins is None or not margins.stable:
         return None
     return {name: {"value": m.value, "omega_rad_s": m.omega} for name, m in margins.by_name.items()}
@@ -152,7 +155,7 @@ def _run_lines(runs: list[RobustRun], ratio: float) -> Iterator[str]:
 
 
 def true_lines(table: dict[str, Any]) -> Iterator[str]:
-    """Both tables in text; an output that is farther from the nominal model than W_delta is marked."""
+    """Write both tables as text; mark an output whose distance from the nominal model exceeds W_delta."""
     yield ""
     yield "margins, promised for every vehicle within W_delta and true of the truck: gains as factors, phases"
     yield "in degrees, delay in ms, radii of disk margins, and gain and phase that the balanced disk covers"

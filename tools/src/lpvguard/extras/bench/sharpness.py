@@ -1,21 +1,23 @@
-"""Bounds that contain the vehicle and still see a fault: the model error band beside known truth.
+"""Compare the model error band with known true errors: does it contain the vehicle, and is it sharp?
 
-Every set draws 5 to 40 drives of 60 to 150 s of a car whose error is known (`_known_cars`). It estimates the
-band of a further drive from these drives alone. In the first table all drives are of one car. True and sharp
-are read at every frequency, speed and amplitude of the band:
+Every set draws 5 to 40 drives of 60 to 150 s from a car with a known error (`_known_cars`). It estimates the
+band of a further drive only from these drives. In the first table, all drives of a set have the same car. Two
+numbers are read at every frequency, speed and amplitude of the band:
 
-    ratio      largest |delta| / W, 1 or less where the band is true
+    ratio      largest |delta| / W, at most 1 for a true band
     loose      median W / |delta|, by cells of speed and amplitude and for one W over all of them
 
-In the second table drives deviate by a random gain and delay. Further drives are counted that lie within the
-band everywhere. The interval is Clopper and Pearson's, 95 %. ``sine`` is the largest ratio to the response
-to single sines, a waveform that no drive has.
+In the second table, drives deviate by a random gain and delay. The table counts the further drives that lie
+within the band everywhere, with a Clopper-Pearson interval of 95 %. ``sine`` is the largest ratio for the
+response to single sines. No drive has this waveform.
 
-With ``--identification`` the table shows the gain error that the frame test sees and the limit of detection,
-by speed cell and bin. A test that knew how the vehicle errs could see the limit (THEORY 7.19).
+With ``--identification``, the table shows, by speed cell and bin, the least gain error that the frame test
+detects, and the limit of detection. A test that knew the form of the vehicle's error could reach the limit
+(THEORY 7.19).
 
-With ``--drives`` every group of measured drives is left out once. ``largest`` is the ratio of a drive's own
-error to the band of the others. ``refuted`` is the same minus the error's own interval.
+With ``--drives``, every group of measured drives is left out once. ``largest`` is the ratio of a drive's own
+error to the band of the other groups. ``refuted`` is this ratio after subtraction of the error's own
+interval.
 """
 
 from collections.abc import Iterator
@@ -44,18 +46,18 @@ from ._left_out import left_out, left_out_table
 from ._multibody import multibody_drives, multibody_error, multibody_project
 
 FEWEST, MOST = 5, 40
-"""Fewest and most drives of a set."""
+"""Least and largest number of drives in a set."""
 SHORTEST_S, LONGEST_S = 60.0, 150.0
 GAIN, DELAY_S = 0.02, 0.008
-"""Standard deviations of drives' gains and delays, where they deviate."""
+"""Standard deviations of the drives' gains and delays in the second table."""
 FURTHER = 20
-"""Further drives that each set is asked about."""
+"""Number of further drives that each set judges."""
 MULTIBODY_CELLS = (5, 3)
-"""Speeds and amplitudes at which the multi-body car's error is measured."""
+"""Speeds and amplitudes at which the error of the multi-body car is measured."""
 LEVEL_OF_CELLS = 0.3
 """Gain error for which cells are counted."""
 SENSITIVITY = {"sizes": "common", "deviations": "deviation", "ignorance": "ignorance"}
-"""Medians of the prior that are halved and doubled."""
+"""Medians of the prior that the sensitivity test halves and doubles."""
 
 
 @dataclass(frozen=True)
@@ -66,11 +68,11 @@ class SetResult:
     ----------
     car, seed, drives : name of the car, seed and number of drives of the set
     ratio : largest |delta| / W over frequency, speed and amplitude
-    ratio_all : the same for one W over all speeds and amplitudes
-    sine : largest |delta| / W of single sines
+    ratio_all : this ratio for one W over all speeds and amplitudes
+    sine : largest |delta| / W for single sines
     outside : share of cells with |delta| above W
     loose, loose_all : median of W / |delta| over cells, and over frequencies for one W
-    within, further : further drives within the band, and their number
+    within, further : number of further drives within the band, and number of all further drives
     """
 
     car: str
@@ -88,7 +90,7 @@ class SetResult:
 
 
 def sums_of(project: Project, drives: list[Drive]) -> list[ErrorSums]:
-    """Sums of each of the drives with the model and the bins of a project."""
+    """Compute the error sums of each drive with the model and the bins of a project."""
     model = NominalModel(project)
     estimator = Estimator.from_project(project, model)
     setup = ErrorDomain.from_estimator(estimator, project.frame_test.excited_std), model, estimator
@@ -98,7 +100,7 @@ def sums_of(project: Project, drives: list[Drive]) -> list[ErrorSums]:
 
 
 def one_set(project: Project, deviating: bool, job: tuple[str, int]) -> SetResult:
-    """Result of one set; ``job``: the car's name and the set's seed."""
+    """Compute the result of one set; ``job`` holds the car's name and the seed of the set."""
     name, seed = job
     car, random = CARS[name], np.random.default_rng([seed, int(deviating)])
     count = int(random.integers(FEWEST, MOST + 1))
@@ -133,14 +135,14 @@ def one_set(project: Project, deviating: bool, job: tuple[str, int]) -> SetResul
 
 
 def band_of(project: Project, sums: ErrorSums, seed: int, scales: PriorScales = USUAL) -> ErrorBand:
-    """Band of the first output at the project's bins."""
+    """Estimate the band of the first output at the project's bins."""
     estimator = Estimator.from_project(project, NominalModel(project))
     domain = ErrorDomain.from_estimator(estimator, project.frame_test.excited_std)
     return error_band(domain, sums, 0, domain.omega, seed, scales)
 
 
 def sensitivity(project: Project, seed: int) -> dict[str, float]:
-    """Largest change of the band's width, as a ratio, when a median of the prior is halved or doubled."""
+    """Largest relative change of the band's width if a median of the prior is halved or doubled."""
     random = np.random.default_rng([seed, 2])
     drives = known_drives(CARS["friction"], project, FEWEST, SHORTEST_S, random)
     sums = joined(sums_of(project, drives))
@@ -154,7 +156,7 @@ def sensitivity(project: Project, seed: int) -> dict[str, float]:
 
 
 def multibody_rows(sets: int, seed: int, over: Map) -> list[SetResult]:
-    """Results of sets that are drawn from one pool of drives of the multi-body car."""
+    """Compute the results of sets that are drawn from one pool of the multi-body car's drives."""
     project = multibody_project()
     model = NominalModel(project)
     estimator = Estimator.from_project(project, model)
@@ -200,14 +202,14 @@ def _multibody_set(
 
 
 def proportion(within: int, total: int) -> tuple[float, float]:
-    """95 % interval of a proportion by Clopper and Pearson."""
+    """Clopper-Pearson interval (95 %) of a proportion."""
     low = 0.0 if within == 0 else float(beta.ppf(0.025, within, total - within + 1))
     high = 1.0 if within == total else float(beta.ppf(0.975, within + 1, total - within))
     return low, high
 
 
 def table(rows: list[SetResult], changes: dict[str, float]) -> str:
-    """Rows by car as text, and the prior's sensitivity."""
+    """Write the rows by car as text, and the sensitivity to the prior."""
     lines = list(_lines(rows))
     if changes:
         lines.append("prior: largest ratio of W to the usual one, 5 drives of 60 s of the car with friction")
@@ -242,7 +244,7 @@ def _lines(rows: list[SetResult]) -> Iterator[str]:
 
 
 def _measured(vehicle: str, folder: Path, seed: int, jobs: int) -> tuple[str, dict]:
-    """Table and numbers of measured drives."""
+    """Compute the table and the numbers for measured drives."""
     with workers(jobs) as over:
         rows, bands = left_out(load_project(vehicle), folder, seed, over)
     numbers = {
@@ -255,7 +257,7 @@ def _measured(vehicle: str, folder: Path, seed: int, jobs: int) -> tuple[str, di
 
 
 def beside_the_limit(folder: Path) -> tuple[str, dict]:
-    """Table and numbers of an identification: visible gain errors over their limits."""
+    """Compute the table and the numbers of an identification: detected gain errors and their limits."""
     seen = load(folder).visibility
     cells = seen["at_percentile"]
     if "limit" not in cells[0]:
@@ -278,7 +280,7 @@ def beside_the_limit(folder: Path) -> tuple[str, dict]:
 
 
 def main(argv: list[str]) -> None:
-    """`lpvguard bench sharpness`."""
+    """Run `lpvguard bench sharpness`."""
     arguments = parser("sharpness", __doc__)
     arguments.add_argument("--sets", type=int, default=20, help="random sets of drives a table and car (20)")
     arguments.add_argument("--seed", type=int, default=0, help="first seed of the sets (0)")

@@ -1,8 +1,8 @@
-"""`lpvguard bench soak`: the truck's firmware over hours of simulated driving with random faults of bus,
-clock and vehicle, on this PC and on emulated processors.
+"""`lpvguard bench soak`: run the truck's firmware over hours of driving with random faults.
 
-A row is an hour. Driving, messages and counts are the same on every target, bit for bit, including the digest
-of every sent frame. Some numbers must not grow: instructions of the worst tick, depth of the stack. The rules
+The driving is simulated, with faults of bus, clock and vehicle, on this PC and on emulated processors. Each
+hour is a row of the table. Driving, messages and counts are the same on every target, bit for bit, including
+the digest of all sent frames. The instructions of the worst tick and the stack depth must not grow. The rules
 for every tick are in firmware_sim/ports/soak.c.
 """
 
@@ -17,14 +17,14 @@ from . import parser, require_at_least, show
 HOUR_MS = 3_600_000
 SEED = 20261123
 SPEEDS_OF_A_TARGET = 20.0
-"""An emulator that takes longer than the simulated time over this has hung."""
+"""The emulator is stopped if it takes longer than the simulated time divided by this number."""
 OF_A_TARGET = ("worst", "stack")
 """Numbers that differ between targets."""
 
 
 @dataclass(frozen=True)
 class Soak:
-    """Result of a target: an entry an hour, and the number of violations of each rule."""
+    """Result of a target: one entry per hour, and the number of violations of each rule."""
 
     target: str
     hours: list[dict[str, int]]
@@ -32,12 +32,12 @@ class Soak:
 
     @property
     def said(self) -> list[dict[str, int]]:
-        """The hours without the numbers that differ between targets."""
+        """Entries of the hours without the numbers that differ between targets."""
         return [{k: v for k, v in hour.items() if k not in OF_A_TARGET} for hour in self.hours]
 
 
 def header_text(hours: int, hour_ms: int, seed: int, faults: bool) -> str:
-    """The text of soak_input.h."""
+    """Write the text of soak_input.h."""
     numbers = {"HOURS": hours, "HOUR_MS": hour_ms, "SEED": seed, "FAULTS": int(faults)}
     return "".join(f"#define SOAK_{name} {value}u\n" for name, value in numbers.items())
 
@@ -45,9 +45,11 @@ def header_text(hours: int, hour_ms: int, seed: int, faults: bool) -> str:
 def soak(
     vehicle: Path, target: str, hours: int, *, hour_ms: int = HOUR_MS, seed: int = SEED, faults: bool = True
 ) -> Soak:
-    """Runs a generated folder with a controller, a bus and a diagnosis; ``hour_ms`` [ms] simulated time stand
-    for an hour. Without ``faults`` the speed stays within the controller's range. InputError as
-    `run_program`."""
+    """Run a generated folder with a controller, a bus and a diagnosis.
+
+    ``hour_ms`` [ms] is the simulated time of an hour. Without ``faults``, the speed stays within the
+    controller's range. Raises InputError like `run_program`.
+    """
     root = firmware_root()
     header = header_text(hours, hour_ms, seed, faults)
     sources = (root / "ports" / "soak.c", root / "ecu" / "firmware.c")
@@ -64,7 +66,7 @@ def soak(
 
 
 def table(runs: list[Soak]) -> str:
-    """A row an hour of the first run, with the numbers of every target; then the violations."""
+    """Write one row per hour of the first run with the numbers of every target, then the violations."""
     names = [name for name in runs[0].hours[0] if name not in (*OF_A_TARGET, "number", "digest")]
     emulated = [run for run in runs if run.target != "host"]
     head = ["hour", *names, *(f"{run.target} {name}" for run in emulated for name in OF_A_TARGET)]
@@ -82,7 +84,7 @@ def table(runs: list[Soak]) -> str:
 
 
 def draw(runs: list[Soak], path: Path) -> None:
-    """The curves: what may not grow, and what the hours counted."""
+    """Draw the numbers that must not grow, and the counts of each hour."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(9, 9), layout="constrained")
@@ -107,7 +109,7 @@ def draw(runs: list[Soak], path: Path) -> None:
 
 
 def main(argv: list[str]) -> None:
-    """`lpvguard bench soak`."""
+    """Run `lpvguard bench soak`."""
     arguments = parser("soak", __doc__)
     arguments.add_argument("--hours", type=int, default=24)
     arguments.add_argument("--seed", type=int, default=SEED)

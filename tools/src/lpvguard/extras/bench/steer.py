@@ -1,9 +1,9 @@
-"""The closed loop of trucks that differ from the nominal one in one property, over speed and seeds.
+"""Run the closed loop of trucks that differ from the nominal truck in one property, over speed and seeds.
 
-Every run follows the steering task's command, 0.02 to 1 rad/s, with the compiled controller. The table shows
-the worst run of each truck and contradictions to a certificate (loop/campaign/conduct.py). A contradiction is
-a steady line of the demand above the commanded band, or a demand at its limit for long. An error beyond the
-allowed share of the command is one, too.
+In every run, the compiled controller follows the command of the steering task, 0.02 to 1 rad/s. The table
+shows the worst run of each truck, and contradictions to a certificate (loop/campaign/conduct.py). A
+contradiction is a steady oscillation of the demand above the commanded band, or a demand that stays at its
+limit. A third contradiction is an error beyond the allowed share of the command.
 """
 
 import tempfile
@@ -42,7 +42,7 @@ PROCESSES = 2
 
 
 def main(argv: list[str]) -> None:
-    """`lpvguard bench steer VEHICLE`."""
+    """Run `lpvguard bench steer VEHICLE`."""
     arguments = parser("steer", __doc__)
     arguments.add_argument("vehicle", type=Path, help="folder written by export with a controller")
     arguments.add_argument("--speeds", help="m/s, comma between; default: 8 to 22 in steps of 1")
@@ -58,8 +58,7 @@ def main(argv: list[str]) -> None:
 def _numbers(
     option: str, text: str | None, otherwise: Sequence[float], *, whole: bool = False
 ) -> list[float]:
-    """The numbers of an ``option``; InputError unless all are finite, not negative and, where asked,
-    ``whole``."""
+    """Read the numbers of an option; raise InputError unless all are finite, >= 0 and, if asked, whole."""
     if text is None:
         return list(otherwise)
     kind = "whole numbers" if whole else "numbers"
@@ -79,7 +78,7 @@ def steered(
     seeds: Sequence[int],
     run_all: Map = map,
 ) -> Iterator[dict[str, Any]]:
-    """A row a run: what differs, speed [m/s], seed, and what the loop did (``_row``)."""
+    """Yield a row for each run: the changed property, speed [m/s], seed, and results of `_row`."""
     points = [(key, x, v, seed) for key, x in trucks for v in speeds for seed in seeds]
     return run_all(partial(_row, vehicle.resolve()), points)
 
@@ -90,10 +89,11 @@ def _simulator(vehicle: Path) -> Simulator:
 
 
 def _row(vehicle: Path, point: tuple[str, float, float, int]) -> dict[str, Any]:
-    """A row of the table.
+    """Make a row of the table.
 
-    tracking: rms error of the yaw rate over the command's; limited_s: longest time at the demand's limit;
-    line_bar, line_radps: steady line of the demand; falsified: contradictions to a certificate.
+    ``tracking`` is the rms error of the yaw rate divided by the command's rms. ``limited_s`` is the longest
+    time of the demand at its limit. ``line_bar`` and ``line_radps`` describe a steady oscillation of the
+    demand. ``falsified`` lists the contradictions to a certificate.
     """
     key, value, v, seed = point
     simulator = _simulator(vehicle)
@@ -126,7 +126,7 @@ def _row(vehicle: Path, point: tuple[str, float, float, int]) -> dict[str, Any]:
 
 
 def lines(rows: Sequence[dict[str, Any]]) -> Iterator[str]:
-    """The worst of each truck's runs, then every run that shows what a certificate rules out."""
+    """Write the worst run of each truck, then every run that contradicts a certificate."""
     titles = f"{'differs':<20}{'value':>7}{'runs':>6}"
     yield titles + f"{'tracking':>10}{'at limit s':>12}{'line bar':>10}  ruled out"
     trucks = dict.fromkeys((row["differs"], row["value"]) for row in rows)

@@ -1,9 +1,9 @@
-"""Performance of the synthesis, with its certificates, in comparison with public peers on the same plants.
+"""Compare the time and the levels of our synthesis, certificates included, with public packages ("peers").
 
-The problems are H∞ on Fig. 1 with third-order weights (23 states, the paper's order), and K_i and K_is on the
-paper case. Peers (_peers.py) are python-control with slycot (``hinfsyn``) and dkpy (D-K iteration). A peer's
-controller is judged like ours: by the certified norm or μ bound of its closed loop, never by the level it
-claims.
+The problems are H∞ on Fig. 1 with third-order weights (23 states, the paper's order), and K_i and K_is of the
+paper case. The peers (_peers.py) are python-control with slycot (``hinfsyn``) and dkpy (D-K iteration). A
+peer's controller is judged like ours, by the certified norm or μ bound of its closed loop. The level that the
+peer claims is not used.
 """
 
 import time
@@ -31,7 +31,7 @@ from lpvguard.extras.bench._peers import Peers
 from lpvguard.vehicle import truck_model
 
 TARGET_S = {"H_inf": 0.06, "K_i": 0.5, "K_is": 1.0}
-"""Seconds that each synthesis is held to, certificate included."""
+"""Largest allowed time [s] of each synthesis, certificate included."""
 
 PEER_LIMIT_S = 300.0
 
@@ -61,9 +61,10 @@ open(sys.argv[2], "w"))
 
 @dataclass(frozen=True)
 class SynthesisRow:
-    """One line of the table: ours and a peer's. ``level``: certified bound; ``claimed``: the peer's own word.
+    """Line of the table with our synthesis and a peer's.
 
-    Peer fields are None when it was not run; ``peer_note`` says why, or what went wrong with it.
+    ``level`` is the certified bound. ``peer_claimed`` is the level that the peer claims. Peer fields are None
+    if the peer did not run. ``peer_note`` states the reason or the peer's error.
     """
 
     job: str
@@ -82,13 +83,14 @@ class SynthesisRow:
 
     @property
     def ok(self) -> bool:
-        """True when the synthesis meets its target."""
+        """Tell if the synthesis meets its target."""
         return self.seconds <= self.target_s
 
 
 def order_23_plant(case: dict) -> GeneralisedPlant:
-    """K_inf's plant with W_C and the noise and disturbance weights raised to third order: 23 states, as in
-    the paper.
+    """Make the plant of K_inf with W_C and the noise and disturbance weights of third order, as in the paper.
+
+    The plant has 23 states.
     """
     objective = case["objective"][0]
     weights = {
@@ -103,10 +105,11 @@ def order_23_plant(case: dict) -> GeneralisedPlant:
 
 
 def run(case_path, repeats: int = 5, peers: Path | None = None) -> list[SynthesisRow]:
-    """Measure the three syntheses; ``peers``: a folder for the peers' environment (made when missing), None:
-    without them.
+    """Measure the three syntheses.
 
-    Our time is the least of ``repeats`` runs, as other work on the machine only adds to it; a peer runs once.
+    ``peers`` is the folder of the peers' environment, which is made if it is missing. With None, no peer
+    runs. Our time is the least of ``repeats`` runs, because other work on the machine can only add time. A
+    peer runs once.
     """
     case = read_case(case_path)
     big = order_23_plant(case)
@@ -149,8 +152,7 @@ def _timed(job):
 
 
 def judged(answer: dict, plant: GeneralisedPlant) -> dict:
-    """A peer's answer with the certified ``level`` of the loop that its controller closes, its ``order`` and
-    a ``note``."""
+    """Add to a peer's answer the certified ``level`` of its closed loop, its ``order`` and a ``note``."""
     if "A" not in answer:
         return answer
     P, K = plant.system, _system(answer)
@@ -172,13 +174,13 @@ def judged(answer: dict, plant: GeneralisedPlant) -> dict:
 
 
 def _system(answer: dict) -> StateSpace:
-    """A peer's continuous controller from its matrices A, B, C and D."""
+    """Make a peer's continuous controller from its matrices A, B, C and D."""
     A, B, C, D = (np.array(answer[k]) for k in "ABCD")
     return StateSpace(A, B, C, D)
 
 
 def question(plant: GeneralisedPlant) -> dict:
-    """Question to the peers' script."""
+    """Make the question for the peers' script."""
     P = plant.system
     blocks = [[b.rows, b.cols] for b in (*plant.blocks, plant.performance_block)] if plant.blocks else []
     return {
@@ -193,7 +195,7 @@ def question(plant: GeneralisedPlant) -> dict:
 
 
 def table(rows: list[SynthesisRow]) -> str:
-    """The rows as text, one line each."""
+    """Write the rows as text, one line each."""
     lines = [
         (
             f"{'job':6}{'states':>7}{'time s':>9}{'target':>8}{'level':>10}{'order':>7}   "
@@ -214,12 +216,12 @@ def table(rows: list[SynthesisRow]) -> str:
 
 
 def as_dicts(rows: list[SynthesisRow]) -> list[dict]:
-    """The rows for ``--json``."""
+    """Rows for ``--json``."""
     return [asdict(r) | {"ok": r.ok} for r in rows]
 
 
 def main(argv: list[str]) -> None:
-    """`lpvguard bench synthesis CASE.toml`."""
+    """Run `lpvguard bench synthesis CASE.toml`."""
     arguments = parser("synthesis", __doc__)
     arguments.add_argument("case", type=Path, help="the paper case, tests/data/paper_case.toml")
     arguments.add_argument("--peers", type=Path, help="folder for the peers' environment, made when missing")

@@ -1,9 +1,9 @@
-"""Performance of the validation engine: one thread, 20 experiments x 1024 bins of the paper's truck.
+"""Measure the validation engine with one thread: 20 experiments x 1024 bins of the paper's truck.
 
-Three kernels run on arrays: S1 closed form, on-line margin, S2 to a certified gap of 1e-4. In the same run, a
-conic solver (cvxpy + Clarabel, rebuilt per point) solves a subsample of the same problems. The peer for S2 is
-a bisection-free grid: one semidefinite relaxation per trial nu_s. The package cvxpy is a test dependency.
-Without it the ratios are left out.
+Three kernels run on arrays: the closed form of S1, the on-line margin, and S2 to a certified gap of 1e-4. In
+the same run, a conic solver (cvxpy and Clarabel, rebuilt for each point) solves a part of the same problems.
+For S2, the solver tries a grid of nu_s with one semidefinite relaxation per value. The package cvxpy is a
+test dependency. Without cvxpy, the table has no ratios.
 
 >>> data = truck_points(experiments=2, bins=4, seed=1)
 >>> data["e"].shape, data["h_s"].shape
@@ -22,15 +22,15 @@ from lpvguard.extras.bench import parser, show
 from lpvguard.vehicle import truck_model
 
 TARGET_US = {"S1": 0.02, "margin": 0.1, "S2": 500.0}
-"""Microseconds per point that each kernel is held to."""
+"""Largest allowed time of each kernel [us per point]."""
 
 GRID = 40
-"""Trial values of nu_s for the conic version of S2."""
+"""Number of values of nu_s that the conic version of S2 tries."""
 
 
 @dataclass(frozen=True)
 class KernelRow:
-    """One line of the table. ``peer_us`` and ``ratio`` are None without cvxpy; ``worst_gap`` only for S2."""
+    """Line of the table; ``peer_us`` and ``ratio`` are None without cvxpy, ``worst_gap`` is only for S2."""
 
     kernel: str
     points: int
@@ -42,14 +42,14 @@ class KernelRow:
 
     @property
     def ok(self) -> bool:
-        """True when the kernel meets its target."""
+        """Tell if the kernel meets its target."""
         return self.us_per_point <= self.target_us
 
 
 def truck_points(
     experiments: int = 20, bins: int = 1024, seed: int = 0, ts_s: float = 0.01
 ) -> dict[str, np.ndarray]:
-    """Points of class S2 from a known (delta, Delta_s, w), all from ``seed``.
+    """Draw points of class S2 with a known (delta, Delta_s, w).
 
     There are ``experiments`` speeds from 8 to 22 m/s. The ``bins`` go from 0.02 rad/s to 90 % of Nyquist,
     sampled at ``ts_s``. Keys are ``e (K, 2)``, ``z (K, 2)``, ``u (K,)``, ``x_nom (K, 3)``, ``h_i (K, 3)``,
@@ -99,7 +99,7 @@ def truck_points(
 
 
 def _time_us(run: Callable[[], object], points: int, repeats: int) -> float:
-    """Median over the repeats, insensitive to bursts of other processes and to lucky runs."""
+    """Median time per point [us] over the repeats, because a median is insensitive to other processes."""
     times = []
     for _ in range(repeats):
         start = time.perf_counter()
@@ -134,7 +134,7 @@ def _peer_margin(data, k):
 
 
 def _peer_s2(data, k):
-    """Least J over a grid of nu_s, one Shor relaxation each (exact for two constraints)."""
+    """Find the least J over a grid of nu_s with one Shor relaxation each (exact for two constraints)."""
     import cvxpy as cp
     from cvxpy.atoms.affine.real import real
     from cvxpy.atoms.affine.trace import trace
@@ -180,7 +180,7 @@ def _peer_us(kernel: str, data: dict) -> float | None:
 
 
 def run(experiments: int = 20, bins: int = 1024, seed: int = 0, peers: bool = True) -> list[KernelRow]:
-    """Measure; one row per kernel. S2 runs on every point as well."""
+    """Measure all kernels and return one row per kernel; S2 also runs on every point."""
     data = truck_points(experiments, bins, seed)
     points = experiments * bins
     worst = {}
@@ -216,7 +216,7 @@ def run(experiments: int = 20, bins: int = 1024, seed: int = 0, peers: bool = Tr
 
 
 def table(rows: list[KernelRow]) -> str:
-    """The rows as text, one line each."""
+    """Write the rows as text, one line each."""
     lines = [f"{'kernel':8} {'points':>7} {'us/point':>10} {'target':>8} {'conic us':>10} {'ratio':>9}  gap"]
     for r in rows:
         peer, ratio = (f"{r.peer_us:10.0f}", f"{r.ratio:9.0f}") if r.peer_us else (f"{'-':>10}", f"{'-':>9}")
@@ -228,12 +228,12 @@ def table(rows: list[KernelRow]) -> str:
 
 
 def as_dicts(rows: list[KernelRow]) -> list[dict]:
-    """The rows for ``--json``."""
+    """Rows for ``--json``."""
     return [asdict(r) | {"ok": r.ok} for r in rows]
 
 
 def main(argv: list[str]) -> None:
-    """`lpvguard bench validation`."""
+    """Run `lpvguard bench validation`."""
     arguments = parser("validation", __doc__)
     arguments.add_argument("--experiments", type=int, default=20)
     arguments.add_argument("--bins", type=int, default=1024)

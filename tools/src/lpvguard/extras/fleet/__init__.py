@@ -1,7 +1,7 @@
 """Lifetime test of a vehicle: one number, the wealth, is updated with every recording.
 
-In: drives in order of time, calibration drives, a generated folder. Out: the wealth of each vehicle, detected
-changes and their size, a small state file, and the core's table.
+The input is drives in order of time, calibration drives, and a generated folder. The output is the wealth of
+each vehicle, detected changes and their size, a small state file, and the core's table.
 """
 
 MAY_IMPORT = ("base", "drives", "core", "identify", "replay")

@@ -53,7 +53,7 @@ class ScoredDrive:
 
     @classmethod
     def from_drive(cls, replayer: Replayer, drive: Drive, most: int) -> ScoredDrive:
-        """Contribution of a drive with at most ``most`` judged samples, as a recording without a hash."""
+        """Compute the contribution of a drive with at most ``most`` judged samples; it has no hash."""
         run = replayer.replay(drive).run
         judged = np.flatnonzero(replayer.estimator.settled(drive.v) & (run.change > 0))[:most]
         usable = np.zeros(len(drive.t), bool)

@@ -23,8 +23,7 @@ SCHEMA = 1
 
 @dataclass(frozen=True)
 class Terms:
-    """Terms of a wealth: vehicle, hash of the generated folder, judged driving per recording [s], two
-    rates."""
+    """Terms of a wealth: vehicle, hash of its folder, judged driving per recording [s], two rates."""
 
     vehicle: str
     coefficients: str

@@ -187,7 +187,7 @@ class LifeTable:
         return np.searchsorted(self.levels, np.asarray(score, np.float32), side="left")
 
     def earliest(self, life: Life) -> int | None:
-        """Number of further recordings with scores above all n scores until a life alarms.
+        """Number of further recordings until a life alarms if all their scores exceed the n scores.
 
         It is 0 if the life has alarmed, and None if it cannot alarm within MOST recordings.
         """

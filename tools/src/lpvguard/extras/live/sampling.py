@@ -39,8 +39,7 @@ class Sampler:
         self._newest_ns = -1
 
     def take(self, frames: Frames) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-        """Samples that ``frames`` complete, a piece per stretch of the clock: t (N,) [s], values, present
-        (N,).
+        """Yield the samples that ``frames`` complete, piece by piece: t (N,) [s], values, present (N,).
 
         The values have shape (N, columns).
         """

@@ -204,7 +204,7 @@ class Watch:
                 listener.hear(series, raised, parts)
 
     def _parts_of(self, piece: Drive, run: Run) -> list[dict[str, Any]]:
-        """Parts that the windows ending in a piece name, as the JSON of `replay` has them."""
+        """Parts that are named by the windows that end in a piece, in the form of the JSON of `replay`."""
         namer = self.replayer.namer
         if namer is None:
             return []
@@ -284,8 +284,7 @@ class Watch:
         }
 
     def _bins(self, newest: np.ndarray, judged: np.ndarray) -> dict[str, list[float | None]]:
-        """For each bin: statistic, t*, evidence and time of the newest frame, and the window's largest
-        statistic."""
+        """For each bin: numbers of the newest frame, and the largest statistic of the window."""
         n_bins = len(self._newest)
         last, largest = np.full((n_bins, 5), np.nan), np.full(n_bins, np.nan)
         for row in newest[np.isfinite(newest[:, 0])]:

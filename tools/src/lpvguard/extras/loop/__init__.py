@@ -1,8 +1,8 @@
 """The closed loop on a PC.
 
-In: a generated folder with a controller, scenarios. Out: runs of simulated truck, CAN frames and compiled ECU
-loop. Also out: required reactions of the supervision, campaigns over seeds, the LCM client, and drives of the
-simulated truck.
+The input is a generated folder with a controller, and scenarios. The output is runs of the simulated truck
+with CAN frames and the compiled ECU loop. The package also has the required reactions of the supervision,
+campaigns over seeds, the LCM client, and drives of the simulated truck.
 """
 
 MAY_IMPORT = (

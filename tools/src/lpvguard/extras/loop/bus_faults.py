@@ -1,8 +1,8 @@
 """Fault table of the bus: each fault in the closed loop, the firmware's required reaction, and its deadline.
 
-Each row is a run of the simulator in which one fault of the scenario files (firmware_sim/sim/scenario.hpp)
-starts at START_S. Times are those of the firmware's ticks: a state shows in the first report after it was
-reached.
+In each row, the simulator runs with one fault of the scenario files (firmware_sim/sim/scenario.hpp), which
+starts at START_S. Times are those of the firmware's ticks. A state appears in the first report after the
+firmware reached it.
 """
 
 import tempfile
@@ -21,12 +21,13 @@ _SETTLED_S = 1.0
 
 @dataclass(frozen=True)
 class BusFault:
-    """A fault of a message, and the firmware's required reaction.
+    """Fault of a message, and the firmware's required reaction.
 
     periods              length of the fault in periods of the message
-    seen, seen_within    kind of event that must be counted first, and within how many periods; "": the fault
-                         leaves no trace (can.h)
-    state, within        worst state that must show, and within how many periods; "live": no other may show
+    seen, seen_within    first kind of event that the firmware must count, and largest number of periods until
+                         then; "" if the fault has no visible effect (can.h)
+    state, within        worst state that must be reported, and largest number of periods until then; "live"
+                         if no other state may be reported
     """
 
     name: str
@@ -48,7 +49,8 @@ BUS_FAULTS = [
         for message in ("VDC2", "GUARD_IN")
         for n, state, within in LOSSES
     ],
-    # Between two frames of 100 ms there are ticks: hold shows before the next good frame ends it.
+    # Ticks are shorter than the 100 ms between frames, so "hold" is reported before the next good frame ends
+    # it.
     *[
         BusFault(f"lost {n}", "EBC2", "lost", n, "missed", 1, state, within)
         for n, state, within in ((1, "live", 0), (3, "hold", 3), (5, "off", 5), (20, "off", 5))
@@ -71,12 +73,12 @@ BUS_FAULTS = [
 
 
 def run_fault(simulator: Simulator, fault: BusFault, **options: Any) -> dict[str, Any]:
-    """One row of the table; ``options`` go to Simulator.run.
+    """Run one fault and make its row of the table; ``options`` go to Simulator.run.
 
     ``missed`` holds a sentence for each late or missing reaction.
     """
     period_s = load_catalogue().message(fault.message).period_ms / 1000
-    # A frame that is due at the very end is good again; the last delayed one comes later still.
+    # A frame that is due exactly at the end is good again. The last delayed frame arrives later.
     window_s = fault.periods * period_s - simulator.project.Ts_s / 2
     end_s = START_S + window_s + (fault.delay_s or 0.0)
     more = {} if fault.delay_s is None else {"delay_s": fault.delay_s}
@@ -130,11 +132,11 @@ def table(simulator: Simulator, tell: Callable[[str], None] = lambda _: None) ->
 def as_text(rows: list[dict[str, Any]]) -> str:
     """Format the table of bus faults.
 
-    Times are in ms after the fault's start, the last ones after its end.
+    Times are in ms after the start of the fault. The last column is in ms after its end.
 
     Parameters
     ----------
-    rows : list of dict, of `table`
+    rows : list of dict, result of `table`
 
     Returns
     -------
@@ -160,8 +162,10 @@ def as_text(rows: list[dict[str, Any]]) -> str:
 
 
 def _first_seen(messages: dict[str, Any], message: str) -> tuple[str, float | None]:
-    """First event other than good frames, of the message or of none, with its time; among several the
-    first checked."""
+    """First event that is not a good frame, with its time; it concerns the message or no message.
+
+    Of several simultaneous events, the one that the firmware checks first is returned.
+    """
     seen = [
         (t, EVENTS.index(kind), kind)
         for name in (message, "other")
@@ -177,7 +181,7 @@ def _after(t_s: float | None, from_s: float) -> float | None:
 
 
 def _missed(fault: BusFault, row: dict[str, Any], period_ms: float) -> Iterator[str]:
-    """Late and missing reactions of a row, a sentence each."""
+    """Yield a sentence for each late or missing reaction of a row."""
     if row["seen"] != fault.seen:
         yield f"first seen as {row['seen'] or 'nothing'}, not as {fault.seen or 'nothing'}"
     elif fault.seen and row["seen_after_ms"] > fault.seen_within * period_ms:

@@ -1,6 +1,6 @@
-"""An FMU as the vehicle of `lpvguard sim`.
+"""Use an FMU as the vehicle of `lpvguard sim`.
 
-A map names its variables (`PlantMap`; tools/site/pages/howto/simulate.md has one).
+A map names the variables of the FMU (`PlantMap`; example in tools/site/pages/howto/simulate.md).
 """
 
 from __future__ import annotations
@@ -22,16 +22,17 @@ PRESSURES = ("brake_pressure_left", "brake_pressure_right")
 REQUIRED = ("speed", "yaw_rate", "steering_wheel_angle", "lateral_acceleration")
 TRUTH = ("true_speed", "true_yaw_rate", "true_lateral_acceleration", "true_road_wheel_angle")
 OUTPUTS = (*REQUIRED, *WHEELS, *PRESSURES, "brake_pressure_difference", *TRUTH)
-"""Quantities that the loop reads. Units: m/s, rad/s, rad, m/s2, bar; left is positive."""
+"""Quantities that the loop reads from the FMU, in m/s, rad/s, rad, m/s2 and bar. Left is positive."""
 INPUTS = ("brake_demand", "speed")
-"""Quantities that the loop gives."""
+"""Quantities that the loop writes to the FMU."""
 NUMBERS = ("Real", "Float64")
 OF_OUR_TRUCK = {"speed_profile"}
-"""Keys of a scenario's table ``plant`` that act on any FMU; the others need its parameter ``scenario``."""
+"""Keys of a scenario's table ``plant`` that affect any FMU. Other keys need the FMU's parameter
+``scenario``."""
 
 
 class MappedOutput(StrictModel):
-    """A variable of the FMU as ours: factor x variable + offset.
+    """Our quantity from a variable of the FMU: factor x variable + offset.
 
     Attributes
     ----------
@@ -45,7 +46,7 @@ class MappedOutput(StrictModel):
 
 
 class PlantMap(StrictModel):
-    """The file of ``--map``.
+    """Content of the file of ``--map``.
 
     Attributes
     ----------
@@ -53,8 +54,8 @@ class PlantMap(StrictModel):
     scenario : str or None
     track_m : float or None, m
     parameters : dict, values of parameters by the FMU's names
-    inputs : dict, the FMU's names by ours
-    outputs : dict, the FMU's names by ours
+    inputs : dict, the FMU's names by our names
+    outputs : dict, the FMU's names by our names
     """
 
     step_s: Annotated[float, Field(gt=0, le=0.01)] = 0.01
@@ -66,7 +67,7 @@ class PlantMap(StrictModel):
 
 
 class ForeignPlant:
-    """A co-simulation FMU that is the vehicle.
+    """Co-simulation FMU that replaces the vehicle.
 
     Parameters
     ----------
@@ -76,7 +77,7 @@ class ForeignPlant:
     Raises
     ------
     InputError
-        The FMU has no binary for this machine or lacks a variable, or the map is refused.
+        If the FMU has no binary for this machine or lacks a variable, or if the map is refused.
     """
 
     def __init__(self, path: Path, plant_map: Path | None = None):
@@ -115,7 +116,7 @@ class ForeignPlant:
         )
 
     def _require_outputs(self) -> None:
-        """InputError for a name that is not ours, and for what the loop cannot do without."""
+        """Raise InputError for an unknown name, and for a missing quantity that the loop needs."""
         chosen, outputs = self.map, set(self.map.outputs)
         for table, names, known in (("inputs", chosen.inputs, INPUTS), ("outputs", chosen.outputs, OUTPUTS)):
             for name in names:
@@ -138,7 +139,7 @@ class ForeignPlant:
             raise InputError(self._where, "step_s", f"{chosen.step_s:g}", "a whole part of 0.01 s")
 
     def _find(self, where: str, name: str, types: tuple[str, ...] = ()) -> tuple[str, int]:
-        """Type and reference of one of the FMU's variables."""
+        """Return the type and the value reference of a variable of the FMU."""
         if name not in self._variables:
             near = ", ".join(sorted(self._variables)[:20])
             raise InputError(self._where, where, f"{self.path} has no variable {name}", f"one of {near}")
@@ -148,7 +149,7 @@ class ForeignPlant:
         return kind, reference
 
     def _linked_variables(self) -> list[str]:
-        """The tables of the file that the simulator reads, as lines."""
+        """Lines with the variables for the file that the simulator reads."""
         lines = []
         for table, names in (("inputs", self.map.inputs), ("outputs", self.map.outputs)):
             entries = []
@@ -178,17 +179,17 @@ class ForeignPlant:
         Parameters
         ----------
         scenario : Path, scenario file
-        folder : Path, made
+        folder : Path, new folder
 
         Returns
         -------
         Path
-            The file that links it (firmware_sim/sim/vehicle_model.hpp).
+            File that links the FMU (firmware_sim/sim/vehicle_model.hpp).
 
         Raises
         ------
         InputError
-            The scenario breaks or changes the truck, and the FMU takes no scenario.
+            If the scenario changes the truck, and the FMU has no parameter for scenarios.
         """
         plant = read_toml(scenario, "a scenario file").get("plant", {})
         beyond = sorted(set(plant) - OF_OUR_TRUCK) if isinstance(plant, dict) else []

@@ -1,8 +1,9 @@
-"""`lpvguard generate`: seeded synthetic drives of a vehicle, as a drive folder.
+"""`lpvguard generate`: write a folder of synthetic drives of a vehicle.
 
-`car` replaces the measured car (drives/fixture.py). `truck` runs the simulated truck of firmware_sim/plant,
-which shares nothing with the nominal model, at held speeds over the model's range. It drives sines swept from
-0.1 to 30 rad/s at the edges of the amplitudes of use, brake manoeuvres between them, and zero-input runs.
+`car` simulates the car (drives/fixture.py). `truck` runs the simulated truck of firmware_sim/plant at
+constant speeds over the model's range. This truck is independent of the nominal model. There are swept sines
+from 0.1 to 30 rad/s with the least and the largest usual amplitudes. There are also brake manoeuvres between
+these amplitudes, and runs without input.
 """
 
 import subprocess
@@ -22,14 +23,16 @@ SWEEP_DURATION_S = 599.0
 MANOEUVRE_BAR = (0.25, 1.0)
 """Least and largest amplitude of a manoeuvre's demand."""
 SWEEPS_BAR = (0.24, 0.24, 0.24, 0.24, 0.8, 2.1, 2.1, 2.1)
-"""Amplitudes of the swept sines, from dominant kingpin friction to the edge of use, 4 m/s2 of lateral
-acceleration (2.06 bar). The small one is driven four times, because road and wind are as large there. The
-large one is driven three times, because tyres make the error depend on the speed there."""
+"""Amplitudes of the swept sines. Kingpin friction dominates at the smallest one. The largest one, 2.06 bar,
+gives a lateral acceleration of 4 m/s2. The small one is driven four times, because road and wind have effects
+of the same size. The large one is driven three times, because the tyres then make the error depend on
+speed."""
 EDGE_SWEEPS_BAR = (2.1, 2.1, 2.1)
-"""Further ones at the least and the largest speed. The error, and its distance from a line over all speeds,
-is largest there."""
+"""Further amplitudes at the least and the largest speed, where the error is largest and least linear over
+speed."""
 ZERO_INPUT_DURATION_S = 240.0
-# Just inside 8 to 22 m/s: the speed sensor's noise must not put samples out of range.
+# The speeds are just inside 8 to 22 m/s, so that noise of the speed sensor keeps all samples within the
+# range.
 BOUND_SPEEDS = (8.1, 10.0, 12.0, 14.0, 16.0, 18.0, 20.0, 21.9)
 CALIBRATION_SPEEDS = (8.5, 9.5, 11.0, 13.0, 15.0, 17.0, 19.0, 21.0, 21.5)
 ZERO_INPUT_SPEEDS = (8.1, 12.0, 17.0, 21.9)
@@ -46,7 +49,7 @@ def plant_tool() -> Path:
     Raises
     ------
     InputError
-        If the sources are absent.
+        If the sources are missing.
     """
     root = firmware_root() / "plant"
     sources = [*sorted((root / "src").glob("*.cpp")), *sorted((root / "tool").glob("*.cpp"))]
@@ -66,7 +69,7 @@ def plant_tool() -> Path:
 
 @dataclass(frozen=True)
 class _Planned:
-    """One drive of the truck: split, programme, held speed [m/s], duration [s] and amplitudes [bar]."""
+    """Plan of a drive of the truck: split, programme, speed [m/s], duration [s], amplitudes [bar]."""
 
     split: str
     programme: str
@@ -76,8 +79,11 @@ class _Planned:
 
 
 def _truck_plan() -> list[_Planned]:
-    """Plan of the drives: bound-setting sweeps have every amplitude at every speed; calibrating ones take
-    turns."""
+    """Plan the drives.
+
+    Sweeps that set the bounds have every amplitude at every speed. Calibrating sweeps alternate the
+    amplitudes.
+    """
     plan = [_Planned("train", p, v, DURATION_S) for v in BOUND_SPEEDS for p in PROGRAMMES]
     sweeps = [(v, u) for v in BOUND_SPEEDS for u in SWEEPS_BAR]
     sweeps += [(v, u) for v in (BOUND_SPEEDS[0], BOUND_SPEEDS[-1]) for u in EDGE_SWEEPS_BAR]
@@ -95,7 +101,7 @@ def truck_drive(path: Path, **options: object) -> None:
     Parameters
     ----------
     path : Path, table
-    **options : object, options of ``lpvguard_plant_tool generate``, ``_`` for ``-``
+    **options : object, options of ``lpvguard_plant_tool generate``, with ``_`` instead of ``-``
 
     Raises
     ------
@@ -129,7 +135,7 @@ def _truck(project: Project, folder: Path, seed: int, tell: Callable[[str], None
 
 
 def generate(project: Project, target: Path, seed: int, tell: Callable[[str], None] = lambda _: None) -> int:
-    """Write a drive folder of synthetic drives, whole or not at all.
+    """Write a folder of synthetic drives, whole or not at all.
 
     Parameters
     ----------

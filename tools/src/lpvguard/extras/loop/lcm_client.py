@@ -1,8 +1,7 @@
-"""Clients of a simulation that runs with `lpvguard sim --lcm URL`: its channels decoded, its logs, and
-commands to it.
+"""Clients of a simulation that runs with `lpvguard sim --lcm URL`: read its channels and logs, send commands.
 
-The message types are those of firmware_sim/lcm, made by lcm-gen on first use; firmware_sim/README.md has the
-table of channels. Needs the packages of the extra ``lcm`` (``pip install './tools[lcm]'``).
+lcm-gen makes the message types of firmware_sim/lcm on first use. firmware_sim/README.md has the table of
+channels. This module needs the extra ``lcm`` (``pip install './tools[lcm]'``).
 
     client = Client("udpm://239.255.76.67:7667?ttl=0")
     answer = client.command("inject", 'plant.sensor_fault = [{signal = "yaw_rate", gain = 0.7}]')
@@ -49,7 +48,7 @@ INSTALL = "the Debian packages liblcm-dev and liblcm-bin, or pip install './tool
 
 
 def generator() -> str:
-    """Path of lcm-gen. InputError when there is none."""
+    """Return the path of lcm-gen; raise InputError if there is none."""
     beside = Path(sys.executable).with_name("lcm-gen")
     path = shutil.which("lcm-gen") or (str(beside) if beside.is_file() else None)
     if path is None:
@@ -59,7 +58,7 @@ def generator() -> str:
 
 @cache
 def message_types() -> ModuleType:
-    """The package ``lpvguard_lcm`` with a class for each message type, which lcm-gen makes on first use."""
+    """Import the package ``lpvguard_lcm`` of message types; lcm-gen makes the package on first use."""
     sources = sorted((firmware_root() / "lcm").glob("*.lcm"))
     digest = hashlib.sha256(b"\0".join(s.read_bytes() for s in sources)).hexdigest()[:24]
     folder = native.cache_dir() / f"lcm-{digest}"
@@ -72,19 +71,19 @@ def message_types() -> ModuleType:
             try:
                 made.rename(folder)
             except OSError:
-                if not folder.is_dir():  # else another process was quicker
+                if not folder.is_dir():  # otherwise another process made it meanwhile
                     raise
     spec = importlib.util.spec_from_file_location("lpvguard_lcm", folder / "lpvguard_lcm" / "__init__.py")
     if spec is None or spec.loader is None:
         raise InputError(folder, "", "holds no Python package", "what lcm-gen -p makes")
     package = importlib.util.module_from_spec(spec)
-    sys.modules["lpvguard_lcm"] = package  # its modules import one another by this name
+    sys.modules["lpvguard_lcm"] = package  # its modules import each other by this name
     spec.loader.exec_module(package)
     return package
 
 
 def constants(type_name: str) -> dict[str, int]:
-    """Constants of a message type by lower-case name: the actions of control_t, the states of status_t."""
+    """Constants of a message type by lower-case name, for example the actions of control_t."""
     members = vars(getattr(message_types(), type_name))
     return {name.lower(): value for name, value in members.items() if name.isupper()}
 
@@ -112,7 +111,7 @@ def _lcm() -> ModuleType:
 
 
 def decode(channel: str, data: bytes) -> Any:
-    """Decode a message by its channel. InputError when it is of another type or version."""
+    """Decode a message of a channel; raise InputError for a message of another type or version."""
     try:
         return getattr(message_types(), CHANNELS[channel]).decode(data)
     except ValueError as error:
@@ -120,7 +119,7 @@ def decode(channel: str, data: bytes) -> Any:
 
 
 def read_log(path: Path) -> Iterator[tuple[str, Any]]:
-    """Read our messages of a log of lcm-logger, in its order.
+    """Read our messages from a log of lcm-logger, in the order of the log.
 
     Parameters
     ----------
@@ -133,7 +132,7 @@ def read_log(path: Path) -> Iterator[tuple[str, Any]]:
     Raises
     ------
     InputError
-        If the file is no such log.
+        If the file is not a log of lcm-logger.
     """
     lcm = _lcm()
     if not path.is_file():
@@ -148,7 +147,7 @@ def read_log(path: Path) -> Iterator[tuple[str, Any]]:
 
 
 def log_line(frame: Any) -> str:
-    """Write a bus_t as a line of candump -L, as `lpvguard sim -o` does.
+    """Write a bus_t as a line of candump -L, like `lpvguard sim -o`.
 
     Parameters
     ----------
@@ -163,7 +162,7 @@ def log_line(frame: Any) -> str:
 
 
 def watch(messages: Iterable[tuple[str, Any]]) -> Iterator[str]:
-    """Word every change in a stream of messages, until the run ends.
+    """Describe every change in a stream of messages in words, until the run ends.
 
     Parameters
     ----------
@@ -213,20 +212,20 @@ def watch(messages: Iterable[tuple[str, Any]]) -> Iterator[str]:
 
 
 class Client:
-    """Reads channels of a simulation and controls it, in one thread.
+    """Client that reads channels of a simulation and controls it, in one thread.
 
-    No message is dropped, however late it is read, unless ``queue`` limits the waiting ones.
+    Late reading loses no message, unless ``queue`` limits the number of waiting messages.
 
     Parameters
     ----------
-    url : str, as LCM reads it
-    channels : Iterable[str], by default all
-    queue : int, most waiting messages of a channel, 0 for any number, default 0
+    url : str, URL of LCM
+    channels : Iterable[str], default all channels
+    queue : int, largest number of waiting messages of a channel, 0: no limit, default 0
 
     Raises
     ------
     InputError
-        If it cannot be opened.
+        If the URL cannot be opened.
     """
 
     def __init__(self, url: str, channels: Iterable[str] = CHANNELS, queue: int = 0):
@@ -241,13 +240,13 @@ class Client:
             self._lcm.subscribe(channel, self._hear).set_queue_capacity(queue)
 
     def messages(self, timeout_s: float) -> Iterator[tuple[str, Any]]:
-        """Yield (channel, message) until ``timeout_s`` [s] have passed without one."""
+        """Yield (channel, message) until no message arrives within ``timeout_s`` [s]."""
         while self._heard or self._lcm.handle_timeout(round(timeout_s * 1e3)) > 0:
             while self._heard:
                 yield self._heard.popleft()
 
     def waiting(self, timeout_s: float, most: int) -> list[tuple[str, Any]]:
-        """Up to ``most`` waiting (channel, message); without any it waits ``timeout_s`` [s] for one."""
+        """Return up to ``most`` waiting (channel, message); if none waits, wait up to ``timeout_s`` [s]."""
         left_ms = round(timeout_s * 1e3)
         while len(self._heard) < most and self._lcm.handle_timeout(left_ms) > 0:
             left_ms = 0
@@ -256,8 +255,8 @@ class Client:
     def command(self, action: Action, entry: str = "", *, ticks: int = 1, timeout_s: float = 5.0) -> Any:
         """Send a control_t (firmware_sim/lcm/lpvguard_control.lcm) and return the answering status_t.
 
-        Other messages remain for ``messages``. Raises InputError when the command is refused, or when no
-        answer comes within ``timeout_s`` [s].
+        `messages` still returns the other messages. Raises InputError if the simulation refuses the command,
+        or if no answer arrives within ``timeout_s`` [s].
         """
         types = message_types()
         request = types.control_t()

@@ -1,8 +1,9 @@
-"""The simulated truck's frequency response from the demand, measured with sines (`plant response`).
+"""Measure the simulated truck's frequency response from the demand with sines (`plant response`).
 
-The demand is held over each sample, and the outputs are read at the sample instants. Hold, brake delay and
-brake lag are therefore in the response. Road and wind are calm. The measured outputs are the true ones,
-without noise and number grids. The controller's own sample of delay is not in it (control/true_loop.py).
+The demand is held over each sample, and the outputs are read at the sample instants. The response therefore
+includes hold, brake delay and brake lag. There is no road or wind disturbance. The outputs are the true ones,
+without noise and quantisation. The response excludes the controller's own sample of delay
+(control/true_loop.py).
 """
 
 import io
@@ -23,20 +24,20 @@ def frequency_response(
 
     Parameters
     ----------
-    tables : str, variation and faults as scenario tables, "" for the truck itself
+    tables : str, variation and faults as scenario tables, "" for the unchanged truck
     v : float, m/s
-    amplitude : float, bar, of the demand
-    omega : ndarray (K,), rad/s, wanted; met within 0.05 %, because whole periods take whole samples
+    amplitude : float, bar, amplitude of the demand
+    omega : ndarray (K,), rad/s, wanted frequencies, rounded by up to 0.05 % to whole periods in whole samples
 
     Returns
     -------
     tuple of ndarray (K,) and ndarray (K, n_y) of complex
-        Driven frequencies [rad/s] and response [output per bar].
+        Used frequencies [rad/s] and response [output per bar].
 
     Raises
     ------
     InputError
-        If the truck cannot be driven so.
+        If the truck cannot be driven with these settings.
     """
     tool = plant_tool()
     with tempfile.TemporaryDirectory() as scratch:

@@ -1,9 +1,8 @@
-"""`lpvguard sim`: the closed loop on a PC -- simulated truck, CAN frames, the compiled ECU loop -- and its
-expectations.
+"""`lpvguard sim`: run the closed loop on a PC: simulated truck, CAN frames and compiled ECU loop.
 
 The simulator (firmware_sim/) is compiled on first use with the vehicle's generated folder, into the cache of
 `replay`. A scenario file states the driving and the faults (firmware_sim/sim/scenario.hpp). Its table
-``expect`` states the required answers and their deadlines, and is judged here:
+``expect`` states the required reactions and their deadlines. This module checks them:
 
     [expect]
     verdict = "never_invalid"     # or "any"; or "invalid": not before fault_start_s, then in within_judged_s
@@ -49,11 +48,11 @@ from .foreign_plant import ForeignPlant
 
 Controller = Literal["designed", "feedforward", "off"]
 RECOVERY_S = 1.0
-"""Time after a bus fault within which supervision must be live again: five frames of the slowest message, and
+"""After a bus fault, supervision must be live again within this time: five frames of the slowest message, and
 a reserve."""
 
 REPORT_ONLY = ("--reactions", "report")
-"""Findings are reported and do not release."""
+"""Option with which findings are only reported and do not release the controller."""
 LINK = ("-ldl",)
 LCM_LINK = ("-Wl,--no-as-needed", "-llcm")
 FLAGS = ("-std=c++17", "-O2", "-ffp-contract=off", "-fno-math-errno")
@@ -66,12 +65,12 @@ OF_NO_VEHICLE = {
     "socketcan_bus",
     "vehicle_model",
 }
-"""Sources of firmware_sim/sim without a vehicle's sizes, compiled once for all vehicles."""
+"""Sources of firmware_sim/sim that do not depend on a vehicle's sizes; they are compiled once."""
 Seconds = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 
 
 class Expectation(StrictModel):
-    """Table ``expect`` of a scenario (the module's docstring).
+    """Table ``expect`` of a scenario; see the module's docstring.
 
     Attributes
     ----------
@@ -99,7 +98,7 @@ class Expectation(StrictModel):
         return self
 
     def reaction_s(self, Ts_s: float) -> tuple[float, float] | None:
-        """Times [s] from and by which the supervision must leave live, or None where it must stay live."""
+        """Earliest and latest time [s] for the supervision to leave live; None if it must stay live."""
         if self.supervision == "live" or self.fault_start_s is None or self.within_periods is None:
             return None
         return self.fault_start_s, self.fault_start_s + self.within_periods * Ts_s
@@ -107,7 +106,7 @@ class Expectation(StrictModel):
 
 @dataclass(frozen=True)
 class Scenario:
-    """A scenario file.
+    """Scenario file.
 
     Attributes
     ----------
@@ -144,7 +143,7 @@ def load_scenario(name: str) -> Scenario:
     Raises
     ------
     InputError
-        If a field is refused; it names the file, the field and what was expected.
+        If a field is refused. The error names the file, the field and the expected value.
     """
     path = Path(name)
     if path.suffix != ".toml":
@@ -171,8 +170,10 @@ def steady_scenario(
     seed: int = 1,
     expect: str = 'verdict = "any"\nsupervision = "live"',
 ) -> str:
-    """Text of a scenario: constant speed, a multisine yaw-rate command of 0.5 to 4 rad/s, and further
-    ``tables``."""
+    """Write a scenario with constant speed and a multisine yaw-rate command of 0.5 to 4 rad/s.
+
+    ``tables`` are further tables of the scenario.
+    """
     return f"""\
 title = {json.dumps(title)}
 duration_s = {duration_s:g}
@@ -192,7 +193,7 @@ rms_radps = {rms_radps:g}
 
 
 def can_fault_table(message: str, kind: str, start_s: float, end_s: float, **more: float) -> str:
-    """Scenario table of one fault on the bus; ``more``: its further keys."""
+    """Write the scenario table of one fault on the bus; ``more`` holds its further keys."""
     values = {"message": message, "kind": kind, "start_s": start_s, "end_s": end_s, **more}
     return "[[can_fault]]\n" + "".join(f"{key} = {json.dumps(value)}\n" for key, value in values.items())
 
@@ -200,11 +201,11 @@ def can_fault_table(message: str, kind: str, start_s: float, end_s: float, **mor
 def feedforward(
     project: Project, nodes: np.ndarray, u_max: np.ndarray, rate_max: np.ndarray
 ) -> ControllerCoefficients:
-    """Controller for comparison: the command over the nominal DC gain, without feedback, one sample late.
+    """Make a controller for comparison: the delayed command divided by the nominal DC gain, without feedback.
 
-    It has the limits of the compared controller: u_max (G, 1) [input unit] at its nodes (G,) [m/s], rate_max
-    (1,) [input unit/s]. Its nodes are these nodes and the speeds midway, so the limits are the same
-    everywhere. Raises InputError as ``build_controller``.
+    The delay is one sample. The limits are those of the compared controller: u_max (G, 1) [input unit] at its
+    nodes (G,) [m/s], and rate_max (1,) [input unit/s]. The new nodes are these nodes and their midpoints, so
+    that the limits are equal at every speed. Raises InputError like `build_controller`.
     """
     model = NominalModel(project)
     speeds = np.linspace(nodes[0], nodes[-1], 2 * len(nodes) - 1)
@@ -224,7 +225,7 @@ def feedforward(
 
 
 def _replace_controller(folder: Path, controller: ControllerCoefficients, target: Path) -> None:
-    """A copy of a vehicle folder with another controller."""
+    """Copy a vehicle folder and replace its controller."""
     shutil.copytree(folder, target)
     artefacts.write_files(
         target, replaced_controller((target / "lpvguard_vehicle.h").read_text(), controller)
@@ -237,8 +238,8 @@ class Simulator:
     Parameters
     ----------
     folder : Path, generated folder with a controller
-    controller : str, the folder's own ("designed"), or another one for comparison
-    lcm : bool, allow publishing and control over LCM (needs liblcm-dev and lcm-gen), default False
+    controller : str, "designed" for the folder's own controller, or another one for comparison
+    lcm : bool, allow publishing and commands over LCM (needs liblcm-dev and lcm-gen), default False
 
     Raises
     ------
@@ -256,9 +257,9 @@ class Simulator:
             )
         self.project = parse_project(manifest["project"], str(self.folder / artefacts.MANIFEST))
         self.nodes = np.array(manifest["controller"]["speeds"])
-        """(G,) speeds [m/s] between which the limit of the demand is interpolated."""
+        """Speeds (G,) [m/s] of the demand's limit, which is interpolated between them."""
         self.u_max = np.array(manifest["controller"]["u_max"])
-        """(G, n_u) limit of the demand there [input unit]."""
+        """Limit of the demand (G, n_u) [input unit] at these speeds."""
         if controller == "feedforward":
             limits = (self.nodes, self.u_max, np.array(manifest["controller"]["rate_max"]))
             with tempfile.TemporaryDirectory() as scratch:
@@ -270,7 +271,7 @@ class Simulator:
 
     @cached_property
     def ecu_program(self) -> Path:
-        """lpvguard_ecu: the firmware alone, as a process on a CAN interface."""
+        """Compile lpvguard_ecu, the firmware as a separate process on a CAN interface."""
         root = firmware_root()
         own = [*_ecu_sources(root), root / "ports" / "linux_ecu" / "main.cpp"]
         try:
@@ -287,7 +288,7 @@ class Simulator:
             ) from None
 
     def emulated(self, target: str) -> EmulatedEcu:
-        """Firmware for an emulated processor with a CAN controller."""
+        """Build the firmware for an emulated processor with a CAN controller."""
         if target not in self._emulated:
             self._emulated[target] = emulated_ecu(target, self.folder)
         return self._emulated[target]
@@ -322,25 +323,26 @@ class Simulator:
         report_only: bool = False,
         plant: ForeignPlant | None = None,
     ) -> dict[str, Any]:
-        """One run: the object of `lpvguard sim --json`.
+        """Run a scenario; return the object of `lpvguard sim --json`.
 
-        seed         None: the scenario's
+        seed         seed of the run; None for the scenario's seed
         bus          memory, or socketcan:INTERFACE
-        out          folder for NAME-SEED.log (candump -L), .frames.csv, .telemetry.csv and .drive.csv (a
-        drive table)
-        ecu_process  the firmware is a separate process; it needs SocketCAN
-        target       host, or an emulated processor, which needs SocketCAN too. The object of the latter has
-                     ``ecu``: the target, the hash of the ELF file and the instructions of the ticks
+        out          folder for NAME-SEED.log (candump -L), .frames.csv, .telemetry.csv, and .drive.csv (a
+                     drive table)
+        ecu_process  run the firmware as a separate process, which needs SocketCAN
+        target       host, or an emulated processor, which needs SocketCAN. With an emulated processor, the
+                     result has ``ecu``: the target, the hash of the ELF file and the instructions of the
+                     ticks
         pace         largest multiple of real time
-        lcm          URL for publishing and commands (for a simulator made with ``lcm``). With ``out``,
-                     NAME-SEED.applied.toml is the scenario with the clients' changes
-        paused       wait until a client says resume
-        report_only  findings do not release, as in ``drive``; not on an emulated processor
-        plant        an FMU is the vehicle
+        lcm          URL for publishing and commands, for a simulator with ``lcm``. With ``out``,
+                     NAME-SEED.applied.toml is the scenario with the changes of the clients
+        paused       wait until a client sends resume
+        report_only  findings do not release the controller, as in `drive`; not on an emulated processor
+        plant        FMU that replaces the vehicle
 
-        The same scenario, seed and vehicle give the same bytes except for real_time_factor: simulated time
-        over processor time, or over elapsed time with another process. Raises InputError where the simulator
-        refuses its input.
+        The same scenario, seed and vehicle give the same bytes, except for real_time_factor. This factor is
+        the simulated time divided by the processor time, or by the elapsed time with another process. Raises
+        InputError if the simulator refuses its input.
         """
         seed = scenario.seed if seed is None else seed
         emulated = None if target == "host" else self.emulated(target)
@@ -374,11 +376,12 @@ class Simulator:
     def drive(
         self, path: Path, *, seed: int | None = None, log: Path | None = None, telemetry: Path | None = None
     ) -> tuple[dict[str, Any], Drive]:
-        """One run of the scenario file ``path``: its facts, and the drive.
+        """Run the scenario file ``path``; return the simulator's output and the drive.
 
-        The facts are the simulator's output. The drive is the monitor's input; samples that it did not get
-        are missing. ``log``: file for every frame of the bus as candump -L writes it; ``telemetry``: CSV of
-        the loop every 100 ms. Findings are only reported, so that the loop goes on after the first one.
+        The drive holds the monitor's input, without the samples that the monitor did not receive. ``log`` is
+        a file for all frames of the bus in the form of candump -L. ``telemetry`` is a CSV file with the
+        loop's state every 100 ms. Findings are only reported, so that the loop continues after the first
+        finding.
         """
         with tempfile.TemporaryDirectory() as scratch:
             table = Path(scratch) / f"{path.stem}.csv"
@@ -389,8 +392,7 @@ class Simulator:
             return facts, self._without_gaps(path.stem, pa_csv.read_csv(table))
 
     def _execute(self, scenario: Path, options: list[Any]) -> dict[str, Any]:
-        """Output of the simulator for a scenario file with further options. InputError where it refuses
-        them."""
+        """Run the simulator with a scenario file and options; raise InputError if it refuses them."""
         words = [self.program, scenario, "--parameters", firmware_root() / "plant" / "truck.toml"]
         words += ["--engage", "no" if self.controller == "off" else "yes", *options]
         done = subprocess.run([str(w) for w in words], capture_output=True, text=True, check=False)
@@ -463,16 +465,16 @@ class Simulator:
 
 
 def _joining(bus: str, program: Path) -> Path:
-    """Firmware in a separate process. InputError where it cannot join ``bus``."""
+    """Return ``program`` for a separate process; raise InputError if no process can join ``bus``."""
     if not bus.startswith("socketcan:"):
         raise InputError(bus, "bus", "joins nothing outside the simulator", "socketcan:INTERFACE")
     return program
 
 
 def loop_objects(folder: Path, main: Path, *, lcm: bool = False) -> list[Path]:
-    """Objects of a program ``main`` around the simulated loop of a generated folder with a controller.
+    """Compile a program ``main`` with the simulated loop of a generated folder; return its objects.
 
-    Raises NativeError where one does not compile.
+    Raises NativeError if a source does not compile.
     """
     root = firmware_root()
     plant = [root / "plant" / "include", root / "plant" / "src", root / "plant" / "tool"]
@@ -492,18 +494,18 @@ def loop_objects(folder: Path, main: Path, *, lcm: bool = False) -> list[Path]:
 
 
 def _objects(sources: list[Path], includes: list[Path]) -> list[Path]:
-    """Objects of sources of firmware_sim/. NativeError where one does not compile."""
+    """Compile sources of firmware_sim/ to objects; raise NativeError if a source does not compile."""
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         return list(pool.map(lambda s: native.compile_object(s, flags=FLAGS, include_dirs=includes), sources))
 
 
 def _core_folders(folder: Path) -> list[Path]:
-    """Folders of the core's headers, for a generated folder."""
+    """Header folders of the core, for a generated folder."""
     return [library_root() / "include", library_root() / "src", folder]
 
 
 def _ecu_folders(root: Path) -> list[Path]:
-    """Folders of the headers of the firmware and its ports."""
+    """Header folders of the firmware and its ports."""
     return [root / "ecu", root / "ports", *_ports(root)]
 
 
@@ -513,13 +515,13 @@ def _ecu_sources(root: Path) -> list[Path]:
 
 
 def _ports(root: Path) -> list[Path]:
-    """Folders shared by an ECU on Linux and its simulator."""
+    """Folders that the ECU on Linux and its simulator share."""
     return [root / "ports" / "ecu_process", root / "ports" / "linux"]
 
 
 def _lcm_publisher(root: Path, flags: tuple[str, ...], includes: list[Path]) -> Path:
-    """Object of the LCM publisher, with its message types. NativeError without lcm-gen."""
-    # That of the library that is linked: C++ from another version's does not compile with it.
+    """Compile the LCM publisher with its message types; raise NativeError without lcm-gen."""
+    # lcm-gen must have the version of the linked library. C++ code of another version does not compile.
     prefix = subprocess.run(
         ["pkg-config", "--variable=prefix", "lcm"], capture_output=True, text=True, check=False
     ).stdout.strip()
@@ -536,8 +538,10 @@ def _lcm_publisher(root: Path, flags: tuple[str, ...], includes: list[Path]) -> 
 
 
 def _reception(raw: dict[str, Any]) -> dict[str, Any]:
-    """Counters of the supervision by message and kind ("other": frames of no rule), and first time of each
-    kind [s]."""
+    """Counters of the supervision by message and kind of event, and first time [s] of each kind.
+
+    The message "other" counts frames without a rule.
+    """
     names = {m.id: m.name for m in load_catalogue().messages} | {0: "other"}
     messages = {}
     for identifier, state, counts, first_s in raw["rules"]:
@@ -555,9 +559,9 @@ def _reception(raw: dict[str, Any]) -> dict[str, Any]:
 
 
 def judged_spans(rows: np.ndarray) -> list[list[float]]:
-    """Joined spans [t0, t1] of the counted frames [s], in order of time.
+    """Join the time spans [t0, t1] [s] of the counted frames, in order of time.
 
-    ``rows`` (F,): the simulator's table of frames with fields reason, t_begin_s, t_end_s.
+    ``rows`` (F,) is the simulator's table of frames with the fields reason, t_begin_s and t_end_s.
     """
     counted = rows[rows["reason"] <= 1]
     spans: list[list[float]] = []
@@ -570,12 +574,12 @@ def judged_spans(rows: np.ndarray) -> list[list[float]]:
 
 
 def overlap(spans: list[list[float]], start: float, end: float) -> float:
-    """Length of the part of ``spans`` within start..end [s]."""
+    """Total time [s] of the parts of ``spans`` between start and end [s]."""
     return round(sum(max(0.0, min(b, end) - max(a, start)) for a, b in spans), 6)
 
 
 def missed(expect: Expectation, result: dict[str, Any], Ts_s: float) -> Iterator[str]:
-    """Expectations of a scenario that a run did not meet, one sentence each."""
+    """Yield a sentence for each expectation of a scenario that a run did not meet."""
     first = result["first_invalid_s"]
     if expect.verdict == "never_invalid" and first is not None:
         yield f"invalid at {first:g} s"
@@ -593,7 +597,7 @@ def missed(expect: Expectation, result: dict[str, Any], Ts_s: float) -> Iterator
 
 
 def _supervision_missed(expect: Expectation, changes: list[list], Ts_s: float) -> Iterator[str]:
-    """Expectations on the supervision that a run did not meet, one sentence each."""
+    """Yield a sentence for each expectation about the supervision that a run did not meet."""
     first_live = next((t for t, state in changes if state == "live"), None)
     if first_live is None:
         yield "supervision was never live"

@@ -1,33 +1,33 @@
-"""Required states of the bus supervision, from the frames and the message table alone (rules:
-lib/include/lpvguard/can.h).
+"""Compute the required states of the bus supervision from the frames and the message table.
 
-It is written from the rules, not from lib/src/guard/can.cpp, so that each tests the other. Per message, with
-its period from the table, starting off:
+The rules are in lib/include/lpvguard/can.h. This module follows the rules, not lib/src/guard/can.cpp, so that
+the two implementations test each other. Each message starts with the state "off" and has its period from the
+table:
 
     off -> live         RECOVER_FRAMES good frames in a row
-    live -> hold -> off the newest good frame is older than HOLD_MISSED + 1/2, OFF_MISSED + 1/2 periods; a
-                        good frame ends "hold"
-    live, hold -> off   the score reaches SCORE_OFF: +1 for a bad frame, -1 for a good one, at least 0; 0
-                        after recovery
+    live -> hold -> off the newest good frame is older than HOLD_MISSED + 1/2, then OFF_MISSED + 1/2 periods;
+                        a good frame ends "hold"
+    live, hold -> off   the score reaches SCORE_OFF; a bad frame adds 1, a good frame subtracts 1, down to 0;
+                        recovery sets the score to 0
     live, hold -> off   WINDOW_BAD of the newest WINDOW frames were bad
-    any -> off          ARRIVALS frames came within ARRIVALS_PERIODS periods; all are bad until as many took
-                        longer
+    any -> off          ARRIVALS frames came within ARRIVALS_PERIODS periods; all frames are then bad until
+                        ARRIVALS frames take longer
     any -> off          a bus-off report
 
 A frame is bad when one of these holds:
 
     time        it comes within a quarter of a period after the previous one (babbling)
-    length      it is not of 8 bytes
-    checksum    it fails, where the table gives it one
-    counter     it repeats, is 15, or is more than COUNTER_STEP on, where the table gives it one
-    signal      a supervised one is "error", "not available" or outside its range, or it changed faster than
-                allowed plus one raw step since the newest good frame
+    length      its length is not 8 bytes
+    checksum    its checksum is wrong, if the table states a checksum
+    counter     its counter repeats, is 15, or increases by more than COUNTER_STEP, if the table states one
+    signal      a supervised signal is "error", "not available" or outside its range, or it has changed by
+                more than its rate allows, plus one raw step, since the newest good frame
 
-"Off" forgets counter and values.
+In the state "off", the counter and the values are forgotten.
 
-At every tick the ECU reports the worst state of the messages that its vehicle needs, from the frames up to
-it. It also reports off where all are live but a newest good value is outside the range of the vehicle's
-signal table. Such a sample is refused.
+At every tick, the ECU reports the worst state of the messages that its vehicle needs. It also reports "off"
+if all messages are live, but a newest good value is outside the range of the vehicle's signal table. The ECU
+refuses such a sample.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ from ...core.compiled import SUPERVISION
 from ...vehicle.project import Project
 
 OFF, HOLD, LIVE = (SUPERVISION.index(state) for state in ("off", "hold", "live"))
-"""lpvg_can_state_t; a smaller value is worse."""
+"""States of lpvg_can_state_t; a smaller value is worse."""
 HOLD_MISSED, OFF_MISSED = 3, 5
 SCORE_OFF, RECOVER_FRAMES, COUNTER_STEP = 5, 5, 5
 WINDOW, WINDOW_BAD = 16, 8
@@ -58,7 +58,7 @@ ARRIVALS, ARRIVALS_PERIODS = 8, 6
 
 
 def needed_messages(project: Project) -> list[Message]:
-    """Messages that the ECU of a vehicle needs: for speed, outputs, command, and the driver's brakes."""
+    """List the messages that a vehicle's ECU needs: for speed, outputs, command, and the driver's brakes."""
     catalogue = load_catalogue()
     places = [project.speed.can, REFERENCE, OVERRIDE, *(s.can for s in project.outputs)]
     return [catalogue.message(name) for name in sorted({p.message for p in places if p is not None})]
@@ -69,7 +69,7 @@ Limits = Mapping[tuple[str, str], tuple[float, float]]
 
 
 def limits(project: Project) -> dict[tuple[str, str], tuple[float, float]]:
-    """Limits by the vehicle's signal table for the monitor's signals on the bus."""
+    """Limits of the monitor's signals on the bus, from the vehicle's signal table."""
     by_signal = {}
     for s in (project.speed, *project.outputs):
         if s.can is not None:
@@ -85,9 +85,10 @@ def required(
     bus_off_us: Sequence[int] = (),
     within: Limits = MappingProxyType({}),
 ) -> np.ndarray:
-    """Required state (N,) at each tick (N,) [us], from ``messages`` and ``frames`` in the order of arrival.
+    """Compute the required state (N,) at each tick (N,) [us].
 
-    ``bus_off_us``: times of the reports; ``within``: limits of the vehicle, see ``limits``.
+    ``frames`` are in the order of arrival. ``bus_off_us`` holds the times of bus-off reports. ``within``
+    holds the limits of the vehicle (see `limits`).
     """
     worst, refused = np.full(len(ticks_us), LIVE), np.zeros(len(ticks_us), bool)
     for message in messages:
@@ -99,7 +100,7 @@ def required(
         )
         times, states = zip(*watch.changes, strict=False)
         worst = np.minimum(worst, np.array(states)[np.searchsorted(times, ticks_us, side="right") - 1])
-        newest = np.searchsorted([t for t, _ in watch.taken], ticks_us, side="right")  # 0: none yet
+        newest = np.searchsorted([t for t, _ in watch.taken], ticks_us, side="right")  # 0: no good frame yet
         for column, signal in enumerate(message.supervised):
             if (message.name, signal.name) in within:
                 low, high = within[message.name, signal.name]
@@ -112,9 +113,10 @@ def required(
 
 @dataclass
 class _Watch:
-    """One message at the time of its newest frame.
+    """Supervision of one message at the time of its newest frame.
 
-    ``changes``: (time [us], state from then on); ``taken``: (time [us], raw values) of every good frame.
+    ``changes`` holds (time [us], state from then on). ``taken`` holds (time [us], raw values) of each good
+    frame.
     """
 
     period: int
@@ -186,7 +188,7 @@ class _Watch:
 def _watched(
     message: Message, t_us: np.ndarray, length: np.ndarray, data: np.ndarray, bus_off_us: Sequence[int]
 ) -> _Watch:
-    """Of a message's frames, t_us (N,), length (N,), data (N, 8): changes of state, and the good ones."""
+    """Supervise the frames of a message, given by t_us (N,), length (N,) and data (N, 8)."""
     signals = message.supervised
     raw = np.column_stack([_raw(data, s) for s in signals]) if signals else np.zeros((len(t_us), 0), int)
     early = np.diff(t_us, prepend=-message.period_ms * 1000) < message.period_ms * 1000 // GAP_FRACTION
@@ -194,7 +196,7 @@ def _watched(
     if message.e2e:
         unreadable |= (e2e_crc(data, message.e2e.data_id) != data[:, 0]) | ((data[:, 1] & 0x0F) >= COUNTERS)
     outside = np.zeros(len(t_us), bool)
-    rates = []  # column, raw steps a microsecond
+    rates = []  # column, raw steps per microsecond
     rules = [s.supervise for s in signals if s.supervise is not None]
     for k, (signal, rule, column) in enumerate(zip(signals, rules, raw.T, strict=True)):
         outside |= (
@@ -245,13 +247,13 @@ def _raw(data: np.ndarray, signal: BusSignal) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Reactions:
-    """What was said against what had to be said.
+    """Comparison of the reported states with the required states.
 
-    due             stretches of ticks for which a worse state than live is required
-    met             those of them in which every tick said it
-    late_s          longest time on end for which a better state was said than required [s]
-    unwarranted_s   time in which a worse state was said than required [s]
-    away_s          time for which a state other than live was required [s]
+    due             number of intervals in which a state worse than live is required
+    met             number of these intervals in which no tick reported a better state than required
+    late_s          longest uninterrupted time with a better state than required [s]
+    unwarranted_s   time with a worse state than required [s]
+    away_s          time in which a state other than live was required [s]
     """
 
     due: int
@@ -262,7 +264,7 @@ class Reactions:
 
     @classmethod
     def from_states(cls, reported: np.ndarray, required: np.ndarray, Ts: float) -> Reactions:
-        """``reported``, ``required``: (N,) states at ticks ``Ts`` [s] apart."""
+        """Compare reported and required states (N,) at ticks with the period ``Ts`` [s]."""
         missed = reported > required
         stretches = _stretches(required < LIVE)
         late = max((b - a for a, b in _stretches(missed)), default=0)
@@ -276,5 +278,5 @@ class Reactions:
 
 
 def _stretches(where: np.ndarray) -> list[tuple[int, int]]:
-    """[begin, end) of the runs of True."""
+    """List [begin, end) of each run of True."""
     return [(int(a), int(b)) for a, b in runs(where)]

@@ -1,7 +1,7 @@
 """Solve problems with the engine as a service.
 
-In: problems as plain JSON (complex numbers as [re, im]). Out: answers, and their comparison with the
-reference answers in the problems.
+The input is problems in plain JSON, with complex numbers as [re, im]. The output is answers, and their
+comparison with the reference answers in the problems.
 """
 
 MAY_IMPORT = ("base", "vehicle", "engine")

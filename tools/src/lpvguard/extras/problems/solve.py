@@ -30,7 +30,8 @@ EXPLAINED_RTOL = 1e-11
 """Allowed rounding of an explanation by delta and w, relative to its terms."""
 
 MARGIN_RTOL, MARGIN_ROUNDING = 1e-6, 1e-13
-"""Relative distances, of a margin and of E over W_w, above and below it for the check that it is attained."""
+"""Relative distances from a margin and from E / W_w at which the check tests whether the margin is
+attained."""
 
 DATA_ROUNDING = 4.0 * float(np.finfo(float).eps)
 """Relative rounding of E and Z that appears in B1."""

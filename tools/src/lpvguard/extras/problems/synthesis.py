@@ -18,8 +18,8 @@ RESOLVED = 1.01
 ZERO = 1e-9
 """An achieved level below this share of the plant's gain counts as zero."""
 UNDETERMINED = 5e-4
-"""Relative change of the optimum by the data's last digits above which no unresolved answer is given: what is
-deducted for it leaves no bounds within 1 %."""
+"""If rounding of the data changes the optimum by more than this share, there is an error instead of an
+unresolved answer. The bounds then cannot be within 1 %."""
 DIGITS = "the optimum depends on the last digits of the data"
 
 
@@ -109,7 +109,7 @@ def solve_mu(problem: dict) -> dict:
     Raises
     ------
     SynthesisError
-        It names the field that cannot be answered.
+        If there is no answer. The error names the field.
     """
     name = str(problem.get("id", "mu"))
     return _bounds(mu_bounds(_complex_matrix(problem, "M", name), _blocks(problem, name)))
@@ -130,7 +130,7 @@ def solve_mu_interval(problem: dict) -> dict:
     Raises
     ------
     SynthesisError
-        It names the field that cannot be answered.
+        If there is no answer. The error names the field.
     """
     name = str(problem.get("id", "mu_interval"))
     loop, blocks = _system(problem, name), _blocks(problem, name)

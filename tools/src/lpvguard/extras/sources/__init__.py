@@ -1,7 +1,7 @@
-"""Measured data from public repositories.
+"""Rebuild measured data sets from public repositories.
 
-In: a table of data sets and files of the repositories that it names. Out: folders of drives or logs, byte for
-byte those with the table's hashes.
+The input is a table of data sets, and files of the repositories in the table. The output is folders of drives
+or logs whose bytes match the table's hashes.
 """
 
 MAY_IMPORT = ("base",)

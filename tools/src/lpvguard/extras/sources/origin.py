@@ -1,4 +1,4 @@
-"""Origins of a public repository's files: a clone, a plain folder, or a fetch by git."""
+"""Read the files of a public repository from a clone, from a plain folder, or by git over the network."""
 
 import subprocess
 import tempfile
@@ -12,7 +12,7 @@ from .table import DataSet
 
 
 class Origin(Protocol):
-    """Reads a file of the repository at a commit; InputError where it is not there."""
+    """Source of a repository's files; reading raises InputError for a missing file."""
 
     def read(self, commit: str, path: str) -> bytes:
         """Bytes of the file."""
@@ -25,7 +25,7 @@ class Clone:
         self.folder, self.repository = folder, repository
 
     def read(self, commit: str, path: str) -> bytes:
-        """Bytes of the file at that commit, whatever is checked out."""
+        """Read the bytes of the file at the commit; the checked-out commit has no effect."""
         done = _git("-C", str(self.folder), "cat-file", "blob", f"{commit}:{path}")
         if done.returncode:
             raise InputError(
@@ -38,7 +38,7 @@ class Clone:
 
 
 class PlainFolder:
-    """A folder with the files at their paths, like an unpacked archive. The hashes check the commit."""
+    """Folder with the repository's files, like an unpacked archive; the hashes check the commit."""
 
     def __init__(self, folder: Path, repository: str):
         self.folder, self.repository = folder, repository
@@ -60,7 +60,7 @@ class PlainFolder:
 def origin_of(data: DataSet, folder: Path | None) -> Iterator[Origin]:
     """Open the origin of a data set: ``folder``, or by default its repository, by git over the network.
 
-    The folder is a clone or a plain one. Only the needed files are fetched, into a scratch folder.
+    The folder is a clone or a plain folder. Only the needed files are fetched, into a scratch folder.
     """
     if folder is not None:
         if not folder.is_dir():

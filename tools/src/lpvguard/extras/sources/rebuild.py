@@ -1,4 +1,4 @@
-"""`lpvguard data`: rebuilds a public data set from its origin and compares each file with its hash."""
+"""`lpvguard data`: rebuild a public data set from its origin and compare each file with its hash."""
 
 import csv
 import hashlib
@@ -17,9 +17,9 @@ from .origin import Origin, origin_of
 from .table import CanArrays, Copy, Csv, DataSet, Form, Matlab, PublicFile
 
 ARRAYS = ("address", "data", "src", "t")
-"""Files of a folder of CAN arrays, in the order of hashing."""
+"""Files in a folder of CAN arrays, in the order in which they are hashed."""
 FRAME_BYTES = 8
-"""Length up to which frames get back the trailing zeros that the arrays have lost."""
+"""Frames are filled with zeros up to this length, because the arrays have lost trailing zeros."""
 
 
 def rebuild(
@@ -29,7 +29,7 @@ def rebuild(
 
     Parameters
     ----------
-    name : str, of the data set
+    name : str, name of the data set
     data : DataSet
     out : Path, new folder
     source : Path or None, see :func:`origin_of`
@@ -60,7 +60,7 @@ def rebuild(
 
 
 def made(f: PublicFile, form: Form, origin: Origin) -> bytes:
-    """Bytes of a file, made from its source; both are compared with their hashes."""
+    """Make the bytes of a file from its source; compare the hashes of the source and the file."""
     form = f.form or form
     names = [f"{f.path}/{n}" for n in ARRAYS] if isinstance(form, CanArrays) else [f.path]
     parts = [origin.read(f.commit, n) for n in names]

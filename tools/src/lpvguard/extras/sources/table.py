@@ -1,6 +1,6 @@
 """Table of public data sets: origin, conversion and hashes of each file.
 
-The shipped table is ``public.toml``. Another table has the same form: a section a data set.
+The shipped table is ``public.toml``. Other tables have the same form, with one section for each data set.
 """
 
 from __future__ import annotations
@@ -22,15 +22,16 @@ Commit = Annotated[str, Field(pattern=r"^[0-9a-f]{40}$")]
 
 
 def _plain(path: str) -> bool:
-    """Return whether a path stays below its folder."""
+    """Tell if a path stays below its folder."""
     return not path.startswith("/") and ".." not in path.split("/") and "\\" not in path
 
 
 class MatlabColumn(StrictModel):
-    """A column made of a MATLAB variable, interpolated linearly to the grid.
+    """Column from a MATLAB variable, interpolated linearly to the grid.
 
-    ``signal`` None: the time. ``unwrap``: an angle [rad], unwrapped first. ``slope_samples``: its slope over
-    so many samples of the grid (least squares, quadratic).
+    With ``signal`` None, the column is the time. With ``unwrap``, the variable is an angle [rad] that is
+    first unwrapped. With ``slope_samples``, the column is the variable's slope over this number of grid
+    samples (quadratic least squares).
     """
 
     name: str
@@ -41,7 +42,7 @@ class MatlabColumn(StrictModel):
 
 
 class Matlab(StrictModel):
-    """MATLAB variables of one length, on a grid of ``rate_hz`` from the first value of ``time`` [s]."""
+    """MATLAB variables of equal length, on a grid of ``rate_hz`` from the first value of ``time`` [s]."""
 
     kind: Literal["matlab"]
     time: str
@@ -57,10 +58,10 @@ class Csv(StrictModel):
 
 
 class CanArrays(StrictModel):
-    """A candump log of four numpy arrays in one folder.
+    """Candump log from four numpy arrays in one folder.
 
-    They are address, data (bytes), src (number of the bus) and t [s]. ``buses``: number -> channel; frames of
-    others are left out.
+    The arrays are address, data (bytes), src (number of the bus) and t [s]. ``buses`` gives the channel of
+    each bus number. Frames of other buses are left out.
     """
 
     kind: Literal["can_arrays"]
@@ -68,7 +69,7 @@ class CanArrays(StrictModel):
 
 
 class Copy(StrictModel):
-    """The bytes of the file."""
+    """Unchanged bytes of the file."""
 
     kind: Literal["copy"]
 
@@ -77,12 +78,12 @@ Form = Annotated[Matlab | Csv | CanArrays | Copy, Field(discriminator="kind")]
 
 
 class PublicFile(StrictModel):
-    """A file of a data set.
+    """File of a data set.
 
-    ``name`` is its place in the folder. ``path`` is its place in the repository at ``commit`` (for arrays
-    their folder). ``source_sha256`` is the hash of the bytes read there, with parts in the order of their
-    names. ``sha256`` is that of the result. ``form`` None stands for the data set's. ``index`` is its row of
-    the data set's index.
+    ``name`` is its path in the folder. ``path`` is its path in the repository at ``commit``, or the folder of
+    its arrays. ``source_sha256`` is the hash of the source's bytes, with parts in the order of their names.
+    ``sha256`` is the hash of the result. With ``form`` None, the file has the form of the data set. ``index``
+    is the file's row in the index of the data set.
     """
 
     name: str
@@ -102,10 +103,10 @@ class PublicFile(StrictModel):
 
 
 class DataSet(StrictModel):
-    """A data set.
+    """Data set.
 
-    ``repository`` is fetched by git, ``licence`` is its SPDX name. ``index``: name of a CSV with the
-    ``index`` of every file that has one, or None.
+    ``repository`` is fetched by git, and ``licence`` is its SPDX name. ``index`` is the name of a CSV file
+    with the index rows of the files, or None.
     """
 
     title: str
@@ -128,7 +129,7 @@ class DataSet(StrictModel):
 
 
 def load_data_set(name: str, table: Path | None = None) -> DataSet:
-    """Load a data set of a table.
+    """Load one data set of a table.
 
     Parameters
     ----------
@@ -142,7 +143,7 @@ def load_data_set(name: str, table: Path | None = None) -> DataSet:
     Raises
     ------
     InputError
-        If the file is no such table, or has no such section.
+        If the file is not a table of data sets, or has no section of this name.
     """
     document = read_toml(
         SHIPPED if table is None else table, EXPECTED, "public.toml" if table is None else table

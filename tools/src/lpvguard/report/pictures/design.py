@@ -56,7 +56,7 @@ def performance_weights(
 
 @picture
 def worst_case_runs(run: dict) -> Figure:
-    """Fig. 6: pressure difference at the top, yaw rate below. ``run``: the object fig6 of figures.json."""
+    """Draw Fig. 6, with pressure difference and yaw rate, from ``run``, the object fig6 of figures.json."""
     figure = new_figure(8.2, 5.2)
     top, low = figure.subplots(2, 1, sharex=True)
     low.plot(run["t_s"], run["wanted_radps"], "-", color=INK, lw=1.0, label="reference, $W_R r_c$")

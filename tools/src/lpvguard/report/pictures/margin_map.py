@@ -36,7 +36,7 @@ def _colours() -> matplotlib.colors.Colormap:
 def _paint(kind: np.ndarray, value: np.ndarray) -> np.ndarray:
     """Picture (K * ROW_PIXELS, W, 4) of cells, RGBA of 8 bit.
 
-    ``kind`` (K, W): index into REASONS, or -1 where there is no frame; ``value`` (K, W): margin / threshold.
+    ``kind`` (K, W) is an index into REASONS, or -1 without a frame. ``value`` (K, W) is margin / threshold.
     """
     kind, value = (np.repeat(a, ROW_PIXELS, axis=0) for a in (kind, value))
     y, x = np.indices(kind.shape)
@@ -79,8 +79,7 @@ def _cells(replay: Replay, t0: float, lengths: np.ndarray) -> tuple[np.ndarray, 
 
 
 def _frames(replay: Replay, t0: float, lengths: np.ndarray, threshold: float) -> Cells:
-    """Every frame with its numbers; ``t0`` is the start of the drive [s], ``margin_map`` explains the
-    rest."""
+    """Make the numbers of every frame; ``t0`` is the start of the drive [s]. See also `margin_map`."""
     frames = replay.run.frames
     end = np.round((frames.t_end_s - t0) / replay.Ts).astype(int) + 1
     order = np.lexsort((end, frames.bin))
@@ -148,8 +147,8 @@ def margin_map(
     K = len(omega)
     map_in, speed_in, verdict_in, gap_in, below_in = 0.135 * K, 0.72, 0.13, 0.13, 0.45
     height = map_in + speed_in + verdict_in + 3 * gap_in + below_in
-    # Placed by hand: with the automatic layout the time axes of different drives would not line up. It would
-    # also take half as long again for each of many pictures.
+    # The axes have fixed places. With the automatic layout, the time axes of different drives would not be
+    # aligned, and each of many pictures would take 50 % longer.
     figure = new_figure(8.2, height, layout=None)
     top, middle, low = figure.subplots(
         3,

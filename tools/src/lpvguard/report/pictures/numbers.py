@@ -24,7 +24,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import FixedFormatter, FuncFormatter
 
 MOST_POINTS, MOST_BESIDE_CELLS = 1500, 300
-"""Most points of a line in the page; a longer line keeps the extremes of each stretch. CSV has all points."""
+"""Largest number of points of a line in the page; longer lines keep local extremes. CSV has all points."""
 SYMBOLS = {
     r"\bar\nu": "ν̄",
     r"\infty": "∞",

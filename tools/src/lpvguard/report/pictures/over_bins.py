@@ -18,17 +18,17 @@ from .drawing import BLUE, GREEN, INK, ORANGE, PINK, POINTS, RED, SKY, legend_ab
 
 MOST_BIN_LABELS = 6
 POINTS_PER_BIN = 400
-"""Most points in a bin: the largest stay, and every n-th of the others, sorted by size."""
+"""Largest number of points in a bin: the largest points are kept, and every n-th of the others by size."""
 DELTA_COLOURS = ((RED, BLUE), (ORANGE, SKY), (PINK, GREEN), (POINTS, INK))
 """Colours of a bound and its weight, one pair per Delta."""
 FRONT_COLUMNS = 5
 MOST_FRONTS = 30
-"""Most panels of the Pareto picture; with more bins every n-th is drawn."""
+"""Largest number of panels of the Pareto picture; with more bins, only every n-th bin is drawn."""
 
 
 @dataclass(frozen=True)
 class Clouds:
-    """Points of each bin: lists of |E| and B1 (right side of (9)) (F,), nu (F, n_delta) and |w| (F, n_y)."""
+    """Points of the frames in each bin: |E| (F,), B1 (F,) from (9), nu (F, n_delta) and |w| (F, n_y)."""
 
     E: list[np.ndarray]
     B1: list[np.ndarray]
@@ -46,8 +46,10 @@ def _thin(values: np.ndarray) -> np.ndarray:
 
 
 def _cloud(axes: Axes, grid: np.ndarray, values: list[np.ndarray], colour: str, label: str) -> None:
-    """Draw the points of each bin, DC (bin 0) as stars. ``values``: (F,) per bin. Zeros are left out, because
-    the axis is logarithmic."""
+    """Draw the points of each bin from ``values``, one (F,) per bin; DC (bin 0) has stars.
+
+    Zeros are left out, because the axis is logarithmic.
+    """
     shown = [_thin(v[v > 0]) for v in values]
     x = np.concatenate([np.full(len(v), w) for v, w in zip(shown[1:], grid[1:], strict=False)])
     if not len(x):
@@ -76,8 +78,7 @@ def _cloud(axes: Axes, grid: np.ndarray, values: list[np.ndarray], colour: str, 
 
 
 def _bound(axes: Axes, grid: np.ndarray, values: np.ndarray, style: str, label: str, **look: Any) -> None:
-    """Draw a bound (K,) over the bins. DC is a separate star, as nothing is known between DC and the lowest
-    bin.
+    """Draw a bound (K,) over the bins, with a star at DC, because no data lie between DC and the next bin.
 
     ``look``: further arguments of matplotlib's ``Axes.plot``.
     """

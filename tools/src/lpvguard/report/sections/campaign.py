@@ -278,7 +278,7 @@ mu is the largest over three speeds; it exists for linear, time-invariant faults
 
 
 def _bus(c: dict) -> str:
-    """Expected and actual answers of the supervision to bus faults."""
+    """Required and actual reactions of the supervision to bus faults."""
     faulty, healthy = c["supervision"]["faulty"], c["supervision"]["healthy"]
     return f"""<h3>Faults of the bus</h3><p>The frames on the bus and the message table determine the state \
 of the supervision at every tick.

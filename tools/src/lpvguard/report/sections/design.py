@@ -170,7 +170,7 @@ not reach the rate limit.</p>{table}"""
 
 
 def _true_loop(path: Path, controller: str) -> str:
-    """Promised and true margins, and the distance from the nominal model, from ROBUST at ``path``.
+    """Write promised and true margins, and the distance from the nominal model, from ROBUST at ``path``.
 
     ``controller`` is its SHA-256.
     """

@@ -100,7 +100,7 @@ def visit_plain(visits: Visits, stored: StoredIdentification, drives: DriveSet, 
 
 
 def plain_section(rows: list[list[str]]) -> str:
-    """The section for bounds of the plain DFT; ``visit_plain`` returned the ``rows``."""
+    """Make the section for bounds of the plain DFT, from ``rows`` of `visit_plain`."""
     table = html_table(
         [
             "drive",

@@ -25,7 +25,7 @@ SIGNS = {PROVED: "●", BLIND: "○", EMPTY: "–", VIOLATED: "▲"}
 AS_NEAR = 5e-4
 """Largest difference between ratios to the threshold that are shown as equal."""
 NEVER = 2.0
-"""Largest meaningful gain error: beyond it the vehicle would answer with more than the opposite."""
+"""Largest meaningful gain error. With a larger one, the vehicle's response would have the opposite sign."""
 
 
 def overview_section(
@@ -266,7 +266,7 @@ def _alarm_row(drive: DriveSummary, alarm: Alarm) -> str:
 
 
 def _nearest_words(drive: DriveSummary, near: Nearest, quiet: list[tuple[DriveSummary, Nearest]]) -> str:
-    """The drive nearest to an alarm among all ``quiet`` drives, and the drives that are as near."""
+    """Find the ``quiet`` drive that is nearest to an alarm, and the drives that are equally near."""
     data = {
         "drive": escape(drive.name),
         "ratio": f"{near.ratio:.4g}",
@@ -287,7 +287,7 @@ def _nearest_words(drive: DriveSummary, near: Nearest, quiet: list[tuple[DriveSu
 
 
 def _independence(independent: int, evaluation: dict | None) -> str:
-    """How much alarms or silence prove: how many drives set neither bounds nor threshold."""
+    """Say what alarms or their absence prove, from the number of drives that set no bound or threshold."""
     words = (
         f"{independent} of the drives set neither bounds nor threshold."
         if independent

@@ -1,4 +1,4 @@
-"""The campaign: prepares baselines and trucks, makes the runs in chunks, and summarises them.
+"""Run a campaign: prepare the baselines and the trucks, make the runs in chunks, and summarise them.
 
 A stopped campaign can be resumed and ends with the same bytes.
 """
@@ -34,8 +34,8 @@ from .tracking import TrackingBound
 
 CHUNK = 40
 SAME_RTOL = 3e-3
-"""Largest relative difference of bounds that count as the same. A fit of a weight ends at one of two ends,
-1.3e-3 apart, and the last digits of the linear algebra decide which."""
+"""Largest relative difference of bounds that count as equal. A fit of a weight has two solutions that differ
+by 1.3e-3, and rounding errors choose one of them."""
 
 
 def campaign(
@@ -109,7 +109,7 @@ def campaign(
 
 
 def _kept(out: artefacts.KeptFolder, name: str, make: Callable[[], Any]) -> Any:
-    """JSON value of a file of the campaign's folder; computed and written first where it is absent."""
+    """Read the JSON value of a file in the campaign's folder; compute and write it if it is missing."""
     if not out.has(name):
         out.write(name, artefacts.to_json(make()).encode())
     return artefacts.read_json(out.folder / name)
@@ -118,7 +118,7 @@ def _kept(out: artefacts.KeptFolder, name: str, make: Callable[[], Any]) -> Any:
 def _run_all(
     out: artefacts.KeptFolder, context: Context, runs: list[PlannedRun], workers: Map, progress: Progress
 ) -> pa.Table:
-    """Rows of all runs: stored chunks of ``out``, and the others, which are run and stored."""
+    """Return the rows of all runs: read the stored chunks of ``out``, then run and store the others."""
     chunks = [runs[i : i + CHUNK] for i in range(0, len(runs), CHUNK)]
     names = [f"chunks/{i:05d}.parquet" for i in range(len(chunks))]
     left = [(n, c) for n, c in zip(names, chunks, strict=True) if not out.has(n)]
@@ -135,7 +135,7 @@ def _run_all(
 
 
 def _require_same(stored: StoredIdentification, replayer: Replayer) -> None:
-    """Raise InputError where the folder's bounds are not those of the identification."""
+    """Raise InputError unless the folder's bounds are those of the identification."""
     (W_delta, B_w), _ = stored.fitted.of_core(replayer.estimator.omega)
     pairs = (W_delta, replayer.W_delta), (B_w, replayer.B_w)
     if not all(np.allclose(mine, cores, rtol=SAME_RTOL) for mine, cores in pairs):
@@ -150,9 +150,9 @@ def _require_same(stored: StoredIdentification, replayer: Replayer) -> None:
 def _tune(
     stored: StoredIdentification, drives: DriveSet, core: Core, workers: Map, progress: Progress
 ) -> dict[str, Any]:
-    """Content of baselines.json: scales, alpha, and the best parameters of each kind.
+    """Make the content of baselines.json: scales, alpha, and the best parameters of each kind.
 
-    Each has its threshold and the sizes of its components.
+    Each kind has its threshold and the sizes of its components.
     """
     study = BaselineStudy(
         stored,
@@ -180,7 +180,7 @@ def _tune(
 
 
 def _schema(row: dict[str, Any]) -> pa.Schema:
-    """Schema of the rows: types go by name and value, because numbers may be null anywhere."""
+    """Make the schema of the rows from names and values, because every number may be null."""
     types = {int: pa.int64(), str: pa.string(), bool: pa.bool_()}
     return pa.schema([(name, types.get(type(value), pa.float64())) for name, value in row.items()])
 

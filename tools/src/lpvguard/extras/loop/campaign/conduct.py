@@ -1,17 +1,18 @@
-"""Conduct of the closed loop in a run, measured from its signals, and its contradictions of a certificate.
+"""Measure the behaviour of the closed loop in a run, and find its contradictions of a certificate.
 
 Three findings falsify the certificate when the truck of the run is within the bounds:
 
-    oscillates  the demand holds a steady line above the commanded band (``steady_line``), of at least
+    oscillates  the demand has a steady oscillation above the commanded band (`steady_line`), of at least
                 LEAST_BAR
-    saturates   the demand is at its limit for at least SATURATED_S in one stretch (``longest_stretch``)
-    loses track the error of the yaw rate up to STEERING_RADPS is larger, rms, than the certificate allows
-                with the run's command, disturbance and noise (tracking.py)
+    saturates   the demand is at its limit for at least SATURATED_S without interruption (`longest_stretch`)
+    loses track the rms error of the yaw rate up to STEERING_RADPS is larger than the certificate allows with
+                the run's command, disturbance and noise (tracking.py)
 
-The error is relative to the reference model's answer to the command. A user's wish is tighter than the proof
-and is counted too. Its limit is the share TRACKED of the wanted yaw rate and the free motion of the same
-truck. Where the brakes have less than WEAK_BRAKES of the nominal gain, the share is TRACKED_WEAK. Free motion
-is that without control on the same road in the same wind. The two are independent, and their powers add.
+The error is the difference from the reference model's response to the command. A second count uses a user's
+requirement, which is stricter than the proof. Its limit is the share TRACKED of the wanted yaw rate and of
+the truck's free motion. If the brakes have less than WEAK_BRAKES of the nominal gain, the share is
+TRACKED_WEAK. Free motion is the motion without control on the same road and in the same wind. Wanted yaw rate
+and free motion are independent, so their powers add.
 """
 
 from collections.abc import Callable, Iterator
@@ -22,30 +23,30 @@ from typing import Any
 import numpy as np
 
 LEAST_BAR = 0.25
-"""Least amplitude of use: the bounds do not cover smaller ones, where friction dominates."""
+"""Least usual amplitude. The bounds do not cover smaller amplitudes, at which friction dominates."""
 LINE_SHARE = 0.6
-"""Least share of the demand's power above the commanded band in a steady line's main lobe."""
+"""Least share of the demand's power above the commanded band that the main lobe of a steady line has."""
 LINE_KEPT = 0.7
-"""Least share of its amplitude that a steady line keeps from one window to the next."""
+"""Least ratio of a steady line's amplitude in a window to its amplitude in the previous window."""
 WINDOW_S, HIGHEST_RADPS, BAND_GAP_RADPS = 20.0, 60.0, 1.0
-"""Search for lines: its windows, its upper end, and the start of its range above the commanded band."""
+"""Search for lines: window length, highest frequency, and distance of the lowest one from the commanded
+band."""
 LOBE = 2
-"""Half the main lobe of a Hann window in samples of its spectrum."""
+"""Half width of the main lobe of a Hann window, in samples of the spectrum."""
 
 SATURATED_S = 1.0
 BRIDGED_S = 0.1
-"""Longest interruption of a stretch: noise takes a demand off its limit for an instant."""
+"""Longest interruption that is ignored, because noise can move a demand off its limit for an instant."""
 AT_LIMIT = 0.999
 
 STEERING_RADPS = 1.0
-"""Upper end of the steering task, above which little tracking is required."""
+"""Highest frequency of the steering task; above it, little tracking is required."""
 TRACKED, TRACKED_WEAK, WEAK_BRAKES = 0.10, 0.15, 0.8
 
 
 @dataclass(frozen=True)
 class Line:
-    """A steady line of the demand: its least amplitude [bar] over its windows, and its frequency; else 0,
-    0."""
+    """Steady line of the demand: least amplitude [bar] over its windows, and frequency; 0 and 0 for none."""
 
     bar: float
     radps: float
@@ -54,17 +55,17 @@ class Line:
 def steady_line(u: np.ndarray, Ts: float, commanded: float) -> Line:
     """Find the largest steady line of a demand above the commanded band.
 
-    Windows of WINDOW_S begin every half window. A window holds a line if its highest peak has LINE_SHARE of
-    the power up to HIGHEST_RADPS in its main lobe. The peak must not be the slope of a peak at a lower
-    frequency. The line is steady if three windows in succession hold it within a tenth of its frequency and
-    it keeps LINE_KEPT of its amplitude. The response of a damped loop to noise has a broader peak, and a
-    step's decays.
+    Windows of WINDOW_S begin every half window. A window has a line if the main lobe of its highest peak has
+    LINE_SHARE of the power up to HIGHEST_RADPS. The peak must not be the slope of a peak at a lower
+    frequency. A line is steady if three successive windows have it within a tenth of its frequency, and if it
+    keeps LINE_KEPT of its amplitude. A damped loop's response to noise has a broader peak. Its response to a
+    step decays.
 
     Parameters
     ----------
     u : ndarray (N,), bar
     Ts : float, s
-    commanded : float, rad/s, highest commanded frequency; the search starts BAND_GAP_RADPS above
+    commanded : float, rad/s, highest commanded frequency; the search starts BAND_GAP_RADPS above it
 
     Returns
     -------
@@ -86,7 +87,7 @@ def steady_line(u: np.ndarray, Ts: float, commanded: float) -> Line:
 
 
 def _line(u: np.ndarray, Ts: float, above: float) -> Line:
-    """Line of one window; amplitude 0 without one."""
+    """Find the line of one window; the amplitude is 0 without a line."""
     window = np.hanning(len(u) + 1)[:-1]
     power = 2 * np.abs(np.fft.rfft(window * (u - u.mean()))) ** 2 / (len(u) * (window**2).sum())
     omega = 2 * np.pi * np.arange(len(power)) / (len(u) * Ts)
@@ -100,7 +101,7 @@ def _line(u: np.ndarray, Ts: float, above: float) -> Line:
 
 
 def longest_stretch(at_limit: np.ndarray, Ts: float) -> float:
-    """Longest time [s] that ``at_limit`` (N,) is True; interruptions below BRIDGED_S are bridged."""
+    """Longest time [s] in which ``at_limit`` (N,) is True; interruptions below BRIDGED_S are ignored."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], at_limit, [False]]).astype(int)))
     longest, begin, end = 0, 0, -len(at_limit)
     for a, b in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
@@ -113,7 +114,7 @@ def longest_stretch(at_limit: np.ndarray, Ts: float) -> float:
 def band_rms(
     x: np.ndarray, Ts: float, highest: float, gain: Callable[[np.ndarray], np.ndarray] = np.ones_like
 ) -> float:
-    """Rms of ``x`` (N,) from DC to ``highest`` [rad/s], times ``gain`` (k,) at its frequencies (k,) [rad/s].
+    """Rms of ``x`` (N,) from DC to ``highest`` [rad/s]; ``gain`` (k,) weights its k frequencies [rad/s].
 
     ``Ts`` [s] is the sample period.
     """
@@ -128,14 +129,16 @@ def band_rms(
 
 
 def beyond_wish(row: dict[str, Any]) -> bool:
-    """Return whether a run's error exceeds a user's wish: TRACKED of the wanted yaw rate and the free motion.
-    No certificate promises this."""
+    """Tell if a run's error exceeds the share TRACKED of the wanted yaw rate and the free motion.
+
+    This is a user's requirement. No certificate promises it.
+    """
     share = TRACKED_WEAK if row["brake_gain"] < WEAK_BRAKES else TRACKED
     return bool(row["error_rms_radps"] > np.hypot(share * row["wanted_rms_radps"], row["free_rms_radps"]))
 
 
 def ruled_out(row: dict[str, Any]) -> Iterator[str]:
-    """Contradictions in a run's row to the certificate of a truck within the bounds, in words."""
+    """List, in words, how a run's row contradicts the certificate of a truck within the bounds."""
     if row["line_bar"] >= LEAST_BAR:
         yield f"oscillates at {row['line_radps']:.3g} rad/s with {row['line_bar']:.3g} bar"
     if row["limited_stretch_s"] >= SATURATED_S:

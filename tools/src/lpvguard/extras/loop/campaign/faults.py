@@ -1,5 +1,4 @@
-"""Faults of a campaign: kinds of faults and variations, their text in a scenario file, and their
-severities."""
+"""Kinds of faults and variations in a campaign, with their severities and their text in a scenario file."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -11,22 +10,22 @@ from ....vehicle.project import Way
 
 FAULT_FROM_S = 60.0
 RAMP_S = 20.0
-"""Time until a growing fault is whole."""
+"""Time in which a growing fault reaches its full size."""
 WAYS: tuple[Way, ...] = ("step", "ramp", "start")
-"""Ways in which a fault of the truck alone begins: at once, growing for RAMP_S, or at the start of the
+"""Ways in which a fault of only the truck begins: suddenly, growing for RAMP_S, or at the start of the
 run."""
 BUS_FAULT_UNTIL_S = 150.0
 
 
 @dataclass(frozen=True)
 class Kind:
-    """A kind of fault.
+    """Kind of fault.
 
-    ``table`` is the text of its scenario tables. In it {x} stands for the severity, {start} and {end} for
-    begin and end [s], {until} for x seconds after the begin [s]. ``loop`` gives (applied, measured) for a
-    severity where the fault is linear and time-invariant, else None. ``applied`` acts between controller and
-    vehicle, ``measured`` between sensors and controller. ``response``: whether the truck's frequency response
-    shows the fault.
+    ``table`` is the text of its scenario tables. In the text, {x} is the severity, {start} and {end} are the
+    begin and the end [s], and {until} is x seconds after the begin [s]. ``loop`` gives (applied, measured)
+    for a severity if the fault is linear and time-invariant, otherwise it is None. ``applied`` acts between
+    controller and vehicle. ``measured`` acts between sensors and controller. ``response`` tells if the
+    truck's frequency response shows the fault.
     """
 
     name: str
@@ -38,7 +37,7 @@ class Kind:
 
     @property
     def ways(self) -> tuple[Way, ...]:
-        """Ways in which it begins: a variation at the start, a fault of the bus at once."""
+        """Ways in which the fault begins: a variation at the run's start, a fault of the bus suddenly."""
         if "{start}" not in self.table:
             return ("start",)
         return WAYS[:1] if self.of_bus else WAYS
@@ -49,16 +48,16 @@ class Kind:
 
     @property
     def of_truck(self) -> bool:
-        """Whether the truck, its sensors or its surroundings are at fault."""
+        """Tell if the truck, its sensors or its surroundings have a fault."""
         return "plant." in self.table
 
     @property
     def of_bus(self) -> bool:
-        """Whether the bus is at fault."""
+        """Tell if the bus has a fault."""
         return "can_fault" in self.table
 
     def text(self, x: float, way: Way = "step") -> str:
-        """Scenario tables of the fault with severity ``x`` in this way."""
+        """Write the scenario tables of the fault with severity ``x`` and the given way."""
         start_s = self.from_s(way)
         return self.table.format(
             x=f"{x:.9g}",
@@ -112,7 +111,7 @@ def _bus(message: str, kind: str, *more: str, end: str = "{end}") -> str:
 
 
 def _of_frames(message: str, kind: str, *shares: float, name: str = "", more: tuple[str, ...] = ()) -> Kind:
-    """Fault of the bus in a share of a message's frames."""
+    """Fault of the bus that affects a share of a message's frames."""
     return Kind(
         f"{message} {name or kind.replace('_', ' ')}",
         "of the frames",
@@ -161,7 +160,7 @@ KINDS = (
     Kind("yaw-rate bias", "rad/s", (0.005, 0.01, 0.02, 0.04, 0.08), _YAW + "bias = {x}\n"),
     Kind("yaw-rate drift", "rad/s²", (1e-4, 3e-4, 1e-3, 3e-3), _YAW + "drift_ps = {x}\n"),
     Kind("yaw-rate noise", "rad/s rms", (0.005, 0.01, 0.02, 0.05, 0.1), _YAW + "extra_noise_rms = {x}\n"),
-    # A frozen value is a constant and a gain of 0.
+    # For the loop, a frozen value is a gain of 0.
     Kind("yaw rate frozen", "", (1.0,), _YAW + "frozen = true\n", lambda x, Ts: _yaw_gain(0.0, Ts)),
     Kind(
         "wheel-angle gain", "×", (-1.0, 0.3, 0.5, 0.7, 0.85, 1.3, 1.6), _WHEEL + "gain = {x}\n", _wheel_gain

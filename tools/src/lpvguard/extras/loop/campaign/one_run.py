@@ -1,8 +1,8 @@
-"""One run of a campaign: simulated, replayed through the compiled core, and judged by every detector.
+"""Make one run of a campaign: simulate it, replay it through the compiled core, judge it by every detector.
 
-The visible effect of a fault is measured off line on the samples of the run, in double precision. The
-estimator is the one that set the bounds. Frames begin at every STRIDE-th start. An alarm is *due* by the time
-that class Offline derives. Runs in which a detector alarms before the fault do not count for it.
+The visible effect of a fault is measured off line from the samples of the run, in double precision. The
+estimator is the one that set the bounds. Frames begin at every STRIDE-th sample. Class Offline derives the
+time at which an alarm is *due*. A run does not count for a detector that alarms before the fault.
 """
 
 from __future__ import annotations
@@ -34,22 +34,22 @@ from .tracking import TrackingBound
 
 FOUND_WITHIN_S = 60.0
 STRIDE = 10
-"""Samples between the starts of the off-line frames."""
+"""Number of samples between the starts of the off-line frames."""
 TELEMETRY_S = 0.1
 """Period of the rows of the simulator's telemetry."""
 VISIBLE_RATIO = 1.5
-"""Least t* over the threshold of a frame that shows a fault."""
+"""A frame shows a fault if its t* is at least this multiple of the threshold."""
 
 
 @dataclass(frozen=True)
 class Offline:
-    """Evidence in the samples of a run, independent of the monitor: frames of all bins, in double.
+    """Evidence of a fault in the samples of a run, independent of the monitor, in double precision.
 
-    ``visible_share`` counts frames wholly in excited driving after the fault. It is the share of them with
-    ``t* >= VISIBLE_RATIO`` times the threshold, 0 without any. ``due_s`` [s after the fault] is the time by
-    which a monitor with these bounds must have alarmed, None for never. The monitor judges a frame every half
-    frame. Let t* be that large at every start within half a frame. One of these frames is then judged by the
-    end of the last. ``median`` and ``largest`` are those of t* of the frames after the fault.
+    ``visible_share`` is the share of frames with t* of at least VISIBLE_RATIO times the threshold. It counts
+    frames that lie wholly in excited driving after the fault, and is 0 without frames. ``due_s`` [s after the
+    fault] is the time by which a monitor with these bounds must alarm; None means never. The monitor judges
+    one frame per half frame. If t* exceeds this limit for all starts within half a frame, the monitor judges
+    one of these frames. ``median`` and ``largest`` describe t* of the frames after the fault.
     """
 
     visible_share: float
@@ -59,7 +59,7 @@ class Offline:
 
     @classmethod
     def from_drive(cls, replayer: Replayer, drive: Drive, from_s: float) -> Offline:
-        """Evidence in the samples of ``drive`` of a fault from ``from_s`` on [s of the run].
+        """Measure the evidence in ``drive`` of a fault that begins at ``from_s`` [s of the run].
 
         The frames are judged with the bounds and the threshold of ``replayer``.
         """
@@ -95,7 +95,7 @@ class Offline:
 
 
 def first_stretch(starts: np.ndarray, above: np.ndarray, length: int) -> int | None:
-    """First of ``starts`` (S,) from which all are ``above`` (S,) for ``length`` samples, or None.
+    """First of ``starts`` (S,) from which ``above`` (S,) is True for ``length`` samples; None without one.
 
     The starts are STRIDE apart, except for gaps.
     """
@@ -107,28 +107,27 @@ def first_stretch(starts: np.ndarray, above: np.ndarray, length: int) -> int | N
 
 
 def first_sample(drive: Drive, run_s: float, Ts: float) -> int:
-    """Index of the sample nearest to ``run_s`` [s of the run], 0 for times before the drive; ``Ts`` [s].
+    """Index of the sample nearest to ``run_s`` [s of the run]; 0 for times before the drive.
 
-    The drive begins when the ECU has all signals, tenths of a second after the run.
+    The drive begins when the ECU has all signals, some tenths of a second after the run's start.
     """
     return max(0, round((run_s - float(drive.t[0])) / Ts))
 
 
 Numbers = tuple[Any, ...]
-"""Numbers of an array, nested by its axes."""
+"""Numbers of an array as nested tuples or lists."""
 
 
 @dataclass(frozen=True)
 class Detectors:
-    """The baselines: values of Scales, and each baseline with its threshold and the sizes of its
-    components, if any."""
+    """Baselines with their scales, thresholds and component sizes (if they have components)."""
 
     scales: tuple[Numbers, ...]
     baselines: tuple[tuple[Baseline, float, Numbers], ...]
 
     @classmethod
     def from_tuning(cls, tuned: dict[str, Any]) -> Detectors:
-        """Detectors from baselines.json."""
+        """Read the detectors from baselines.json."""
 
         def frozen(x: Any) -> Any:
             return tuple(map(frozen, x)) if isinstance(x, list) else x
@@ -141,8 +140,7 @@ class Detectors:
 
 @dataclass(frozen=True)
 class Context:
-    """Inputs of every worker, which builds simulator and core from ``folder`` (same path everywhere) and
-    its cache."""
+    """Inputs of every worker; each worker builds the simulator and the core from ``folder`` and its cache."""
 
     folder: Path
     seed: int
@@ -151,9 +149,9 @@ class Context:
 
     @cached_property
     def tools(self) -> tuple[Simulator, Simulator, Replayer, Bank]:
-        """Simulator, the same without controller, replayer and baseline detectors.
+        """Simulators with and without controller, replayer, and baseline detectors.
 
-        They are built once in every process and not pickled.
+        Every process builds them once. They are not pickled.
         """
         return _tools(self.folder, self.detectors)
 
@@ -179,13 +177,13 @@ def _tools(folder: Path, detectors: Detectors) -> tuple[Simulator, Simulator, Re
 
 
 def run_planned(context: Context, planned: PlannedRun) -> dict[str, Any]:
-    """One run, simulated, replayed and judged by every detector: a row of the Parquet files."""
+    """Simulate and replay one run, and judge it by every detector; return a row of the Parquet files."""
     simulator, free_truck, replayer, bank = context.tools
     drawn = Drawn.for_run(float(simulator.u_max.min()), context.seed, planned)
     with tempfile.TemporaryDirectory() as scratch:
         path = Path(scratch) / "scenario.toml"
         telemetry = path.with_suffix(".csv")
-        # Without control the truck ignores the command: this run gives its free motion and the demand.
+        # Without control, the truck ignores the command. This run gives its free motion and the demand.
         path.write_text(drawn.text(planned.tables, UNIT), encoding="utf-8")
         _, left_alone = free_truck.drive(path, telemetry=telemetry)
         free = read_telemetry(telemetry)
@@ -241,9 +239,10 @@ def run_planned(context: Context, planned: PlannedRun) -> dict[str, Any]:
 
 
 def _within_limit(simulator: Simulator, drawn: Drawn, tables: str, size: float, path: Path) -> float:
-    """``size`` of the command [rad/s], reduced where the loop would need more than ROOM of its limit.
+    """Reduce the ``size`` of the command [rad/s] if the loop would need more than ROOM of its limit.
 
-    Steps need more than their tracking does. A run at half the size shows it; ``path`` holds its scenario.
+    Steps need a larger peak demand than their tracking suggests. A run at half the size measures the need;
+    ``path`` is the file of its scenario.
     """
     path.write_text(drawn.text(tables, size / 2), encoding="utf-8")
     facts, _ = simulator.drive(path)
@@ -260,9 +259,9 @@ def conduct(
     left_alone: Drive,
     loop: dict[str, np.ndarray],
 ) -> dict[str, float]:
-    """Columns of a row about the closed loop (conduct.py), and the limits that ``tracking`` allows.
+    """Compute a row's columns about the closed loop (conduct.py), and the limits of ``tracking``.
 
-    ``free``, ``loop``: telemetry, columns (N,), of the truck ``left_alone`` and of the loop.
+    ``free`` and ``loop`` are the telemetry, columns (N,), of the truck ``left_alone`` and of the loop.
     """
     u, Ts = drive.u[:, 0], simulator.project.Ts_s
     line = steady_line(u, Ts, drawn.command.highest)
@@ -280,8 +279,11 @@ def conduct(
 
 
 def disturbed(free: dict[str, np.ndarray], measured: Drive) -> tuple[np.ndarray, np.ndarray]:
-    """Yaw rate and road-wheel angle that road and wind make of a truck left alone, (N, 2) [rad/s, rad] every
-    TELEMETRY_S. Then what its sensors add, (M, 2) at the samples of ``measured``."""
+    """Free motion of a truck without control by road and wind, and the noise of its sensors.
+
+    The motion (N, 2) holds yaw rate and road-wheel angle [rad/s, rad] every TELEMETRY_S. The noise is (M, 2)
+    at the samples of ``measured``.
+    """
     w = np.column_stack([free["yaw_rate_radps"], free["road_wheel_rad"]])
     true = np.column_stack([np.interp(measured.t, free["t_s"], x) for x in w.T])
     return w, measured.y - true
@@ -304,7 +306,7 @@ def limited_stretch(simulator: Simulator, drive: Drive) -> float:
 
 
 def read_telemetry(path: Path) -> dict[str, np.ndarray]:
-    """Columns (N,) of the simulator's telemetry, every TELEMETRY_S."""
+    """Read the columns (N,) of the simulator's telemetry, every TELEMETRY_S."""
     table = pa_csv.read_csv(path)
     return {name: table[name].to_numpy() for name in table.column_names}
 
@@ -312,11 +314,11 @@ def read_telemetry(path: Path) -> dict[str, np.ndarray]:
 def supervision(
     simulator: Simulator, facts: dict[str, Any], scenario: dict[str, Any], log: Path | None, from_s: float
 ) -> Reactions:
-    """The ECU's reports on its bus against the states that the frames require.
+    """Compare the ECU's reports about its bus with the states that the frames require.
 
-    ``facts``, ``scenario``: the simulator's output and input. ``log``: the frames; None: a bus without fault,
-    where the supervision must be live. ``from_s`` [s]: start of the comparison, but not before the bus came
-    up.
+    ``facts`` and ``scenario`` are the simulator's output and input. ``log`` holds the frames. None means a
+    bus without fault, for which the supervision must be live. ``from_s`` [s] is the start of the comparison,
+    but the comparison never starts before the bus is live.
     """
     project, Ts = simulator.project, simulator.project.Ts_s
     first, end = round(max(from_s, RECOVERY_S) / Ts), round(facts["duration_s"] / Ts)
@@ -335,9 +337,9 @@ def supervision(
 
 
 def _statistic(replayer: Replayer, replay: Replay, drive: Drive) -> np.ndarray:
-    """Statistic (N,) of the monitor: the largest over the tests, each over its threshold; above 1: an alarm.
+    """Statistic (N,) of the monitor: largest ratio of a test's statistic to its threshold; above 1: alarm.
 
-    The frame test counts where frames were judged. It is -inf where no test judged.
+    The frame test counts at samples with judged frames. The statistic is -inf at samples without any test.
     """
     frames, ratios = (
         replay.run.frames,
@@ -350,8 +352,7 @@ def _statistic(replayer: Replayer, replay: Replay, drive: Drive) -> np.ndarray:
 
 
 def _judged(name: str, statistic: np.ndarray, threshold: float, clock: JudgedClock) -> dict[str, Any]:
-    """NAME_before, NAME_found_s at the threshold; largest statistic before the fault and in the allowed
-    time."""
+    """Make the fields NAME_before and NAME_found_s, and the largest statistics before and after the fault."""
     within = slice(clock.first, int(np.searchsorted(clock.seconds, FOUND_WITHIN_S, side="right")))
     before = float(statistic[: clock.first].max(initial=-np.inf))
     return {

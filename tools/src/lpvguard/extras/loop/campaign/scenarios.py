@@ -1,6 +1,6 @@
-"""Plan of a campaign: every run's number, truck and fault, and its scenario file.
+"""Plan a campaign: number, truck, fault and scenario file of every run.
 
-A draw depends on the seed and the number of the run alone.
+The random numbers of a run depend only on the seed and on the number of the run.
 """
 
 from __future__ import annotations
@@ -16,32 +16,34 @@ from .conduct import LEAST_BAR, STEERING_RADPS
 from .faults import VARIATION
 
 DURATION_S = 180.0
-"""As long as the calibration drives of `generate`, so that a rate per drive means the same."""
+"""Duration of a run, equal to the calibration drives of `generate`, so that rates per drive are
+comparable."""
 FIRST_FAULT = 1_000_000
-"""Number of the first run with a fault: its draws do not depend on the hours within."""
+"""Number of the first run with a fault. The random numbers of faults thus do not depend on the hours
+"within"."""
 SPEEDS = (8.1, 21.9)
-"""[m/s] Speeds of the runs: noise of the wheel speeds must not leave the controller's 8 to 22."""
+"""[m/s] Speeds of the runs. With noise, the wheel speeds must stay within the controller's range 8 to 22."""
 STEERING_RMS = 0.05
-"""[rad/s] Rms of the steering task's command, reduced where the truck's limit requires it."""
+"""[rad/s] Rms of the steering task's command, before any reduction to the truck's limit."""
 HIGHEST_COMMAND_RADPS = 4.0
 FAULT_BAR = 0.9
 """Least peak demand of runs with a fault, so that the fault can show."""
 ROOM = 0.85
-"""Share of the controller's limit for a command; the rest is for road, wind and noise. A certificate covers
-the loop within its limits."""
+"""Share of the controller's limit that a command may need. The rest is for road, wind and noise. A
+certificate only covers the loop within its limits."""
 UNIT = 0.05
-"""[rad/s] Size of a command for which its demand is computed."""
+"""[rad/s] Size of a command for which the demand is computed."""
 REFERENCE_RADPS = 3.0
 """Frequency of the simulator's reference model 9 / (s^2 + 5.4 s + 9) (firmware_sim/sim/command.hpp)."""
 
 
 @dataclass(frozen=True)
 class PlannedRun:
-    """One run.
+    """Plan of one run.
 
-    ``plant`` is the index of the truck of group "within", -1 elsewhere. ``tables`` are its fault or
-    variation. ``gain`` is the least gain of a truck within the bounds over the nominal one's. ``way`` is the
-    way in which the fault begins.
+    ``plant`` is the index of a truck of the group "within", and -1 for other runs. ``tables`` state the fault
+    or the variation. ``gain`` is the least gain of a truck within the bounds, divided by the nominal gain.
+    ``way`` is the way in which the fault begins.
     """
 
     number: int
@@ -69,13 +71,13 @@ class Size:
 
 
 def plan(size: Size, trucks: list[tuple[str, float]]) -> list[PlannedRun]:
-    """All runs, in the order of their numbers. ``trucks``: within the bounds, tables and least gain."""
+    """Plan all runs, in the order of their numbers; ``trucks`` holds tables and least gains "within"."""
     runs = int(np.ceil(size.hours * 3600 / DURATION_S))
     within = [
         PlannedRun(n, "within", 0.0, n % len(trucks), 0.0, *trucks[n % len(trucks)]) for n in range(runs)
     ]
     chosen = [(kind, x) for kind in faults.KINDS for x in kind.values for _ in range(size.repeats)]
-    # Every fault in its first way comes first, so that further ways do not change the numbers.
+    # All faults with their first way come first, so that further ways do not change the numbers of the runs.
     ordered = [(kind, x, kind.ways[0]) for kind, x in chosen]
     ordered += [(kind, x, way) for n in (1, 2) for kind, x in chosen for way in kind.ways[n : n + 1]]
     return within + [
@@ -85,8 +87,7 @@ def plan(size: Size, trucks: list[tuple[str, float]]) -> list[PlannedRun]:
 
 
 def draw_variation(seed: int, candidate: int) -> str:
-    """A truck that differs from truck.toml in all properties that vary in a fleet, by small and large
-    amounts."""
+    """Draw a truck that differs from truck.toml, by small or large amounts, in all properties of a fleet."""
     random = np.random.default_rng([seed, 1, candidate])
     reach = {
         "load_ratio": 0.2,
@@ -109,13 +110,13 @@ def draw_variation(seed: int, candidate: int) -> str:
 
 @dataclass(frozen=True)
 class Command:
-    """A yaw-rate command without its size, the rms of a multisine or the amplitude of steps.
+    """Yaw-rate command without its size; the size is the rms of a multisine or the amplitude of steps.
 
     Attributes
     ----------
-    keys : str, of a scenario file
-    highest : float, rad/s, upper end of the commanded band, for steps that of the reference model
-    size : float or None, rad/s, its own size
+    keys : str, keys of a scenario file
+    highest : float, rad/s, upper end of the commanded band; for steps, that of the reference model
+    size : float or None, rad/s, own size of the command
     """
 
     keys: str
@@ -124,26 +125,26 @@ class Command:
 
     @classmethod
     def multisine(cls, spacing: str, low: float, high: float, size: float | None = None) -> Command:
-        """A multisine between two frequencies [rad/s], its lines "linear" or "log" spaced."""
+        """Make a multisine between two frequencies [rad/s] with "linear" or "log" spacing."""
         keys = f'kind = "multisine"\nspacing = "{spacing}"\nlow_radps = {low:g}\nhigh_radps = {high:g}\n'
         return cls(keys + "rms_radps", high, size)
 
     @classmethod
     def steps(cls, period_s: float) -> Command:
-        """Steps from side to side, two a period."""
+        """Make steps from side to side, two per period."""
         return cls(f'kind = "steps"\nperiod_s = {period_s:.6g}\namplitude_radps', REFERENCE_RADPS)
 
 
 @dataclass(frozen=True)
 class Drawn:
-    """Draws of a run.
+    """Randomly drawn properties of a run.
 
     Attributes
     ----------
     profile : list of (time [s], speed [m/s]), knots
     command : Command
     demand_bar : float, bar, peak demand of the nominal truck
-    seed : int, of noise, road and wind
+    seed : int, seed of noise, road and wind
     """
 
     profile: list[tuple[float, float]]
@@ -153,10 +154,10 @@ class Drawn:
 
     @classmethod
     def for_run(cls, limit_bar: float, seed: int, planned: PlannedRun) -> Drawn:
-        """Draws from the campaign's seed and the run's number.
+        """Draw the properties from the campaign's seed and the run's number.
 
-        The truck's peak demand lies between LEAST_BAR (FAULT_BAR with a fault) and ROOM of the controller's
-        limit ``limit_bar``. The checked amplitudes are then covered, and no truck exceeds its limits.
+        The truck's peak demand lies between LEAST_BAR (FAULT_BAR with a fault) and the share ROOM of the
+        controller's limit ``limit_bar``. The demand then stays within the checked amplitudes and the limits.
         """
         random = np.random.default_rng([seed, 2, planned.number])
         profile = speed_profile(random)
@@ -168,12 +169,12 @@ class Drawn:
         return cls(profile, command, planned.gain * demand, int(random.integers(1 << 31)))
 
     def size(self, model: NominalModel, unit: np.ndarray, Ts: float) -> float:
-        """Size of the command [rad/s] with which the nominal truck needs ``demand_bar``.
+        """Compute the size of the command [rad/s] for which the nominal truck needs ``demand_bar``.
 
-        The command's own size is an upper limit. Its amplitude (sqrt 2 times the demand's rms, as in the
-        bounds) is at least LEAST_BAR. ``unit`` (N,) is the reference model's answer to this command at size
-        UNIT [rad/s], every ``Ts`` [s]. It is followed up to HIGHEST_COMMAND_RADPS at every speed of the run;
-        above, no loop follows it.
+        The command's own size is an upper limit. The amplitude of the demand (sqrt 2 times its rms, as in the
+        bounds) is at least LEAST_BAR. ``unit`` (N,) is the reference model's response to this command at size
+        UNIT [rad/s], every ``Ts`` [s]. The truck follows this response up to HIGHEST_COMMAND_RADPS, at every
+        speed of the run.
         """
         spectrum = np.fft.rfft(unit)
         omega = 2 * np.pi * np.arange(len(spectrum)) / (len(unit) * Ts)
@@ -189,7 +190,7 @@ class Drawn:
         return size if self.command.size is None else min(size, self.command.size)
 
     def text(self, tables: str, size: float) -> str:
-        """Scenario file; ``tables``: faults and variation, ``size``: of the command [rad/s]."""
+        """Write a scenario file with ``tables`` of faults and variation; the command has ``size`` [rad/s]."""
         knots = ", ".join(f"[{t:.6g}, {v:.6g}]" for t, v in self.profile)
         return (
             f"duration_s = {DURATION_S:g}\nseed = {self.seed}\n[command]\n{self.command.keys} = {size:.6g}\n"
@@ -198,9 +199,10 @@ class Drawn:
 
 
 def _command(random: np.random.Generator, within: bool) -> Command:
-    """Command of a run; trucks ``within`` the bounds also get those of the steering task.
+    """Draw the command of a run; trucks ``within`` the bounds also get commands of the steering task.
 
-    Their steps are slow enough to be tracked. Those of faulted trucks keep the monitor's frames excited.
+    Steps of trucks within the bounds are slow enough to be tracked. Steps of trucks with faults keep the
+    monitor's frames excited.
     """
     wide = (
         Command.multisine("linear", 0.05, 2.0),
@@ -216,10 +218,10 @@ def _command(random: np.random.Generator, within: bool) -> Command:
 
 
 def speed_profile(random: np.random.Generator) -> list[tuple[float, float]]:
-    """Knots (time [s], speed [m/s]) of a random speed profile.
+    """Draw the knots (time [s], speed [m/s]) of a random speed profile.
 
-    The speed is constant, drifts by at most 3 m/s, or is swept to the farther end of the range and back. The
-    sweep has 0.05 to 0.3 m/s2.
+    The speed is constant, or drifts by at most 3 m/s, or moves to the farther end of the range and back. This
+    last movement has an acceleration of 0.05 to 0.3 m/s2.
     """
     slowest, fastest = SPEEDS
     first = random.uniform(slowest, fastest)

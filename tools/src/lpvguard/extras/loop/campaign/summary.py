@@ -1,8 +1,8 @@
-"""Tables of a campaign from the rows of its runs.
+"""Make the tables of a campaign from the rows of its runs.
 
-A fault is *visible* in a run when t* is at least VISIBLE_RATIO (one_run.py) times the threshold often enough.
-This must hold in VISIBLE_SHARE of the frames that lie wholly in excited driving after its start. A visible
-fault must be found within FOUND_WITHIN_S of judged, excited driving.
+A fault is *visible* in a run if t* is often at least VISIBLE_RATIO (one_run.py) times the threshold. "Often"
+means in the share VISIBLE_SHARE of the frames that lie wholly in excited driving after the fault's start. A
+visible fault must be found within FOUND_WITHIN_S of judged, excited driving.
 """
 
 from collections.abc import Iterator
@@ -27,7 +27,7 @@ from .scenarios import DURATION_S
 
 VISIBLE_SHARE, VISIBLE_FOUND = 0.1, 0.95
 LATENCY_S = 1.0
-"""Reserve from the end of a frame to its verdict."""
+"""Reserve for the time from the end of a frame to its verdict."""
 ABOUT_BOUNDS = ("frame", "energy")
 """Tests that are calibrated for a vehicle within the bounds. The change test is calibrated for the identified
 vehicle and may alarm for any other truck."""
@@ -37,13 +37,13 @@ DETECTORS = (MONITOR, *BASELINE_KINDS)
 def summarise(
     table: pa.Table, stored: StoredIdentification, plants: dict, levels: list[dict], tuned: dict
 ) -> dict[str, Any]:
-    """The campaign's tables from its rows; JSON-able.
+    """Make the campaign's tables from its rows, as JSON values.
 
-    ``severities``, ``kinds``, ``average``, ``visible``: faults of the truck in their first way; ``bus``: of
-    the bus. ``ways``: faults that begin in several ways. At thresholds ``matched`` at most alpha of the runs
-    within the bounds alarm, and of the faulty runs before their fault. With enough runs for alpha
-    (``matched_stated``) these are equal false alarms in the loop; ``matched_claim`` says so, or "counts
-    only".
+    ``severities``, ``kinds``, ``average`` and ``visible`` concern faults of the truck with their first way.
+    ``bus`` concerns faults of the bus. ``ways`` concerns faults that begin in several ways. ``matched`` holds
+    thresholds for equal false alarms. With them, at most a share alpha of the runs within the bounds alarms.
+    The same holds for the faulty runs before their fault. With enough runs for alpha (``matched_stated``),
+    all detectors then have equal false alarms in the loop. ``matched_claim`` says so, or says "counts only".
     """
     rows = table.to_pylist()
     kinds = {k.name: k for k in faults.KINDS}
@@ -101,8 +101,7 @@ def summarise(
 def _matched(
     within: list[dict], faulty: list[dict], alpha: float
 ) -> tuple[dict[str, float], dict[str, float | None]]:
-    """Threshold of equal false alarms per detector, and its rate: alpha, or None with too few runs
-    (``summarise``)."""
+    """Threshold for equal false alarms by detector, and its rate: alpha, or None for too few runs."""
     before = [r for r in faulty if r["fault_s"] > 0]
     calibrations = {
         d: (
@@ -120,9 +119,10 @@ def _matched(
 def _severities(
     faulty: list[dict], matched: dict[str, float], levels: list[dict], plants: dict
 ) -> list[dict[str, Any]]:
-    """A row per kind and severity of a fault of the truck.
+    """Make a row for each kind and severity of a fault of the truck.
 
-    It has mu of the faulted loop and the distance of its response from the nominal one, where computed.
+    A row also has mu of the loop with the fault, and the distance of the truck's response from the nominal
+    response, if they were computed.
     """
     loops = {(row["kind"], row["severity"]): row for row in levels}
     response = {(row["kind"], row["severity"]): row["ratio"] for row in plants["faulted"]}
@@ -141,7 +141,7 @@ def _severities(
 
 
 def _calibrated(stored: StoredIdentification) -> dict[str, dict[str, Any]]:
-    """Calibrated rate of each test for a run, and for an hour of such runs."""
+    """Calibrated rate of each test per run, and per hour of such runs."""
     return {
         test: {
             "claim": c.claim(),
@@ -155,7 +155,7 @@ def _calibrated(stored: StoredIdentification) -> dict[str, dict[str, Any]]:
 
 
 def _due(rows: list[dict]) -> dict[str, Any]:
-    """Alarms due within the run, and those that came in time."""
+    """Number of alarms that were due within the run, and number that came in time."""
     due = [
         r for r in rows if r["due_s"] is not None and r["fault_s"] + r["due_s"] + LATENCY_S <= r["duration_s"]
     ]
@@ -167,10 +167,11 @@ def _due(rows: list[dict]) -> dict[str, Any]:
 
 
 def by_way(rows: list[dict], matched: dict[str, float]) -> dict[str, dict[str, Any]]:
-    """Results per way of the ``rows`` of faults that begin in several ways.
+    """Results by way, from the rows of faults that begin in several ways.
 
-    They hold the runs, and per detector the share found, averaged over kinds and severities, and the median
-    time [s] over all runs. A time is judged, excited driving since the fault's start.
+    Each way has the number of runs. Each detector has the share of found faults, averaged over kinds and
+    severities, and the median time [s] over all runs. A time is judged, excited driving since the fault's
+    start.
     """
     results = {}
     for way in dict.fromkeys(r["way"] for r in rows):
@@ -188,14 +189,14 @@ def by_way(rows: list[dict], matched: dict[str, float]) -> dict[str, dict[str, A
 
 
 def _visible(faulty: list[dict]) -> dict[str, dict[str, Any]]:
-    """Visible faults that each detector found in time, of those without an earlier alarm."""
+    """Count the visible faults that each detector found in time, among the runs without an earlier alarm."""
     visible = [r for r in faulty if _is_visible(r)]
     counted = {d: [r for r in visible if not r[f"{d}_before"]] for d in DETECTORS}
     return {d: rate(sum(_found(r, d) for r in rows), len(rows)) for d, rows in counted.items()}
 
 
 def _average(severities: list[dict]) -> dict[str, dict[str, float]]:
-    """Share of runs with the fault found, per detector, averaged over the severities."""
+    """Share of runs with a found fault by detector, averaged over the severities."""
     return {
         d: {
             "calibrated": float(np.mean([s["found"][d] / s["runs"] for s in severities])),
@@ -206,8 +207,7 @@ def _average(severities: list[dict]) -> dict[str, dict[str, float]]:
 
 
 def _is_invisible(severity: dict[str, Any]) -> bool:
-    """Return whether a fault is visible in less than half of its runs although the loop loses stability or
-    performance."""
+    """Tell if a fault that costs stability or performance is visible in less than half of its runs."""
     harmful = not severity["loop_stable"] or (severity["mu_upper"] is not None and severity["mu_upper"] >= 1)
     return severity["visible_runs"] < severity["runs"] / 2 and harmful
 
@@ -220,7 +220,7 @@ def _by_severity(rows: list[dict]) -> dict[tuple[str, float], list[dict]]:
 
 
 def _missed(summary: dict[str, Any]) -> Iterator[str]:
-    """Claims that the campaign contradicts, a sentence each."""
+    """List the claims that the campaign contradicts, one sentence each."""
     falsified = summary["falsified"]["rate"]
     if falsified["count"]:
         yield (
@@ -259,7 +259,7 @@ def _missed(summary: dict[str, Any]) -> Iterator[str]:
 
 
 def _calibration(scores: list[float], alpha: float) -> Calibration:
-    """Conformal calibration on healthy stretches; those without a statistic give no score."""
+    """Conformal calibration on healthy runs; a run without a statistic gives no score."""
     return calibrate({str(i): s for i, s in enumerate(scores) if np.isfinite(s)}, alpha, floor=0.0)
 
 
@@ -277,9 +277,9 @@ def _alarms(row: dict, detector: str) -> bool:
 
 
 def _falsified(within: list[dict], tables: list[str]) -> dict[str, Any]:
-    """Names and rate of the runs of trucks within the bounds that contradict the certificate (conduct.py).
+    """Names and rate of the runs within the bounds that contradict the certificate (conduct.py).
 
-    ``tables`` are of these trucks.
+    ``tables`` are the scenario tables of these trucks.
     """
     runs = [
         {key: r[key] for key in ("number", "seed", "plant", "speed_mps")}
@@ -291,8 +291,7 @@ def _falsified(within: list[dict], tables: list[str]) -> dict[str, Any]:
 
 
 def _within(rows: list[dict]) -> dict[str, Any]:
-    """Alarm rates of trucks within the bounds per run of DURATION_S (the exchangeable unit), by detector
-    and test."""
+    """Alarm rates of trucks within the bounds, per run of DURATION_S, by detector and test."""
     hours, judged = (sum(r[key] for r in rows) / 3600 for key in ("duration_s", "judged_s"))
     alarmed = {d: sum(_alarms(r, d) for r in rows) for d in DETECTORS}
     trucks: dict[int, bool] = {}
@@ -336,10 +335,10 @@ def _severity(kind: str, x: float, rows: list[dict], matched: dict[str, float]) 
 
 
 def _supervision(rows: list[dict]) -> dict[str, Any]:
-    """Runs with all required states, and reactions due and met.
+    """Count the runs with all required states, the required reactions and the correct reactions.
 
-    Faults of the truck alone are left out: a truck that leaves the controller's range of speeds is refused,
-    which the ECU reports as "off" though its bus is live.
+    Faults of only the truck are left out. If such a truck leaves the controller's speed range, the ECU
+    reports "off" although its bus is live.
     """
     return {
         "as_required": rate(sum(map(_as_required, rows)), len(rows)),
@@ -349,7 +348,7 @@ def _supervision(rows: list[dict]) -> dict[str, Any]:
 
 
 def _as_required(row: dict) -> bool:
-    """Return whether the supervision reported the required state at every tick, and none worse."""
+    """Tell if the supervision reported the required state at every tick, and no worse state."""
     return (
         row["supervision_met"] == row["supervision_due"]
         and row["supervision_late_s"] == 0.0 == row["supervision_unwarranted_s"]
@@ -359,9 +358,9 @@ def _as_required(row: dict) -> bool:
 def _bus_severity(kind: str, x: float, rows: list[dict]) -> dict[str, Any]:
     """Reactions of the supervision to a fault of the bus.
 
-    ``away`` is the share of time since its begin with no live bus. ``judged`` is the share with judged,
-    excited driving: after every gap the model has to settle first. ``alarmed`` counts runs with an alarm
-    since, which need not be wrong: see ``visible_runs``.
+    ``away`` is the share of time since the fault's begin without a live bus. ``judged`` is the share of time
+    with judged, excited driving, because the model must settle after every gap. ``alarmed`` counts runs with
+    an alarm since the begin. Such an alarm can be right: see ``visible_runs``.
     """
     return {
         "kind": kind,
@@ -380,9 +379,9 @@ def _bus_severity(kind: str, x: float, rows: list[dict]) -> dict[str, Any]:
 
 
 def kind_row(name: str, rows: list[dict]) -> dict[str, Any]:
-    """Average of a kind over its severities, and the best detectors at calibrated and at matched thresholds.
+    """Average a kind over its severities; list the best detectors at calibrated and at matched thresholds.
 
-    All that tie are best; none where none found a fault.
+    All detectors with an equal best result are listed. The list is empty if no detector found a fault.
     """
     shares = {d: float(np.mean([s["found"][d] / s["runs"] for s in rows])) for d in DETECTORS}
     matched = {d: float(np.mean([s["matched"][d] / s["runs"] for s in rows])) for d in DETECTORS}

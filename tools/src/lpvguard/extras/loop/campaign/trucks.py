@@ -1,14 +1,13 @@
-"""Trucks within the bounds by their own frequency response, and mu of the loops with a fault.
+"""Find the trucks within the bounds by their frequency response, and compute mu of the loops with a fault.
 
 G is the truck's measured response to sines on a flat road without wind (`plant response`), with w = 0. It is
-measured at OMEGA and RESPONSE_SPEEDS with amplitudes of RESPONSE_BAR. The last amplitude is reduced to the
-edge of use (the lateral-acceleration limit). P is the nominal response. A truck is within the bounds when
-each output has
+measured at OMEGA and RESPONSE_SPEEDS with the amplitudes RESPONSE_BAR. The last amplitude is reduced to the
+lateral-acceleration limit. P is the nominal response. A truck is within the bounds if each output has
 
     |delta_j| = |G_j / P_j - 1| <= W_delta,j
 
-everywhere there, W_delta as in the certificate. Speeds and demands of the runs lie in the checked ranges
-(scenarios.py). Nothing here uses the monitor's answers or a run.
+at every measured point, with W_delta of the certificate. Speeds and demands of the runs lie in the checked
+ranges (scenarios.py). The selection of trucks uses neither the monitor nor a run.
 """
 
 from __future__ import annotations
@@ -39,20 +38,20 @@ PLANTS = 24
 RESPONSE_SPEEDS = (8.0, 12.0, 17.0, 22.0)
 RESPONSE_BAR = (LEAST_BAR, 0.7, np.inf)
 OMEGA = (np.geomspace(1.0, 60.0, 28), np.geomspace(0.02, 1.0, 12, endpoint=False))
-"""[rad/s] Slow ones last: they take most of the time, and most trucks beyond the bounds show it above 1
-rad/s."""
+"""[rad/s] Frequencies of the measurement. Slow ones are last, because they need most of the time, and because
+most trucks beyond the bounds exceed them above 1 rad/s."""
 LOOP_SPEEDS = (8.5, 15.0, 21.5)
-"""Speeds for mu of a faulted loop; the largest value counts."""
+"""Speeds at which mu of a loop with a fault is computed; the largest value counts."""
 
 
 @dataclass(frozen=True)
 class Distance:
     """Distance of a truck from the nominal model.
 
-    ``ratio`` is the largest |delta_j| / W_delta,j. Measurement ends where it exceeds 1, so it is then a lower
-    bound. ``output``, ``omega_radps``, ``speed_mps`` and ``amplitude_bar`` are its place. ``least_gain`` is
-    the least |G_1/P_1| of a truck within the bounds, at the edge of use up to the highest frequency of a
-    command.
+    ``ratio`` is the largest |delta_j| / W_delta,j. The measurement ends when the ratio exceeds 1. A ratio
+    above 1 is therefore a lower bound. ``output``, ``omega_radps``, ``speed_mps`` and ``amplitude_bar`` are
+    its place. ``least_gain`` is the least |G_1/P_1| of a truck within the bounds, at the largest amplitude,
+    up to the highest frequency of a command.
     """
 
     ratio: float
@@ -72,12 +71,12 @@ class CertifiedSet:
 
     @classmethod
     def from_identification(cls, stored: StoredIdentification) -> CertifiedSet:
-        """Set of an identification. InputError where the certificate is not about W_delta alone."""
+        """Make the set of an identification; raise InputError if its certificate needs more than W_delta."""
         require_certified_by_W_delta(stored)
         return cls(stored.project, stored.fitted)
 
     def distance(self, tables: str) -> Distance:
-        """Distance of the truck with these scenario tables, measured until it exceeds the bounds."""
+        """Measure the distance of the truck with these scenario tables, until it exceeds the bounds."""
         model, outputs = NominalModel(self.project), [signal.name for signal in self.project.outputs]
         worst, least_gain = Distance(0.0, outputs[0], 0.0, 0.0, 0.0, None), np.inf
         for v, amplitude, omegas in self._points(model):
@@ -95,8 +94,7 @@ class CertifiedSet:
         return replace(worst, least_gain=least_gain)
 
     def checked(self) -> dict[str, Any]:
-        """Measured speeds (S,) [m/s], amplitudes (S, A) [bar], frequencies (K,) [rad/s] of ``distance``,
-        JSON-able."""
+        """Speeds (S,) [m/s], amplitudes (S, A) [bar] and frequencies (K,) [rad/s] of `distance`, for JSON."""
         model = NominalModel(self.project)
         return {
             "speeds_mps": list(RESPONSE_SPEEDS),
@@ -106,7 +104,7 @@ class CertifiedSet:
 
     @staticmethod
     def _points(model: NominalModel) -> Iterator[tuple[float, float, np.ndarray]]:
-        """(speed, amplitude, frequencies) of every measurement."""
+        """Yield (speed, amplitude, frequencies) of every measurement."""
         for omega in OMEGA:
             for v in RESPONSE_SPEEDS:
                 for amplitude in within_use(model, v, RESPONSE_BAR):
@@ -114,8 +112,7 @@ class CertifiedSet:
 
 
 def plants(certified: CertifiedSet, seed: int, workers: Map, progress: Progress) -> dict[str, Any]:
-    """The first PLANTS drawn trucks within the bounds, and the distance of every faulted truck with a
-    response."""
+    """Draw trucks until PLANTS of them are within the bounds; measure the trucks with faults, too."""
     candidates: list[dict[str, Any]] = []
     while sum(c["ratio"] <= 1 for c in candidates) < PLANTS:
         tables = [draw_variation(seed, len(candidates) + i) for i in range(8)]
@@ -140,8 +137,7 @@ def plants(certified: CertifiedSet, seed: int, workers: Map, progress: Progress)
 
 
 def loop_levels(stored: StoredIdentification, controller: Path, progress: Progress) -> list[dict[str, Any]]:
-    """Upper bound of mu of the certified loop with each linear fault, largest over LOOP_SPEEDS; None if
-    unstable."""
+    """Largest upper bound of mu over LOOP_SPEEDS for each linear fault in the loop; None if unstable."""
     rows = []
     linear = [(kind, x, kind.loop) for kind in faults.KINDS if kind.loop for x in kind.values]
     for kind, x, loop in linear:
