@@ -53,8 +53,8 @@ class ConstantScalings:
     def scaled(self, sizes: np.ndarray, rest: float, log_constants: np.ndarray) -> StateSpace:
         """The scaled loop.
 
-        ``sizes`` (blocks,) are the gains of the blocks' uncertainty, ``rest`` is the factor of the other
-        outputs, and ``log_constants`` (free,) are the logarithms of the constants.
+        ``sizes`` (blocks,) are the gains of the blocks' uncertainty. ``rest`` is the factor of the other
+        outputs. ``log_constants`` (free,) are the logarithms of the constants.
         """
         left, right = self._factors(sizes, rest, log_constants)
         G = self.system
