@@ -191,8 +191,8 @@ class RealSearch:
     def starts(self, omega: np.ndarray, count: int, real_part: float = 1.0) -> list[tuple[np.ndarray, float]]:
         """Return starts (δ, ω) of the search on a grid ``omega`` (K,) [rad/s], the smallest δ first.
 
-        All |δ_i| of a start are equal. An eigenvalue of M(jω) Q, with Q of entries ±1, marks a start in two
-        cases: its real part is at least ``real_part`` times its magnitude, or it crosses the real axis before
+        All |δ_i| of a start are equal. Q has the entries ±1. An eigenvalue of M(jω) Q marks a start in two
+        cases. Its real part is at least ``real_part`` times its magnitude, or it crosses the real axis before
         the next frequency. At most ``count`` starts have a real M, and as many have another M, because an
         eigenvalue may be nearly real over a wide range.
         """

@@ -1,7 +1,6 @@
 """The worst-case gain: the largest gain from disturbances to errors over every Δ of size 1 (THEORY 7.10).
 
-At one frequency γ is an upper bound of this gain if, for scalings D, G of the blocks of Δ (skewed μ; Packard
-& Doyle 1993),
+At one frequency, scalings D, G of the blocks of Δ prove the bound γ if (skewed μ; Packard & Doyle 1993)
 
     diag(D_R, γ² I) − Mᴴ diag(D_L, I) M − j (G M − Mᴴ G) ≻ 0.
 

@@ -16,9 +16,9 @@ ZERO_RTOL = 1e-12
 def axis_zeros(side: Side, scale: float) -> tuple[float, ...]:
     """Frequencies of the imaginary-axis zeros of x' = A x + B2 u, z = C1 x + D12 u.
 
-    Candidates are the eigenvalues of its LQ problem on the axis. These are at least double. Rounding
-    therefore moves them by the square root of eps times ``scale``, the norm of A, and a slow zero may look
-    like one on the axis. A candidate is a zero only where the system matrix itself loses rank.
+    Candidates are the eigenvalues of its LQ problem on the axis. These are at least double, so rounding moves
+    them by the square root of eps times ``scale``, the norm of A. A slow zero may therefore look like one on
+    the axis. A candidate is a zero only where the system matrix itself loses rank.
     """
     H = hamiltonian(replace(side, B1=side.B1[:, :0], D11=side.D11[:, :0]), 1.0)
     eigenvalues = np.linalg.eigvals(balance_hamiltonian(H)[0])
