@@ -130,7 +130,7 @@ class RealSearch:
         self.sizes = [b.rows for b in structure.blocks]
 
     def delta(self, parameters: np.ndarray) -> np.ndarray:
-        """Δ, shape (Σrows, Σrows), of ``parameters``, shape (k,)."""
+        """Δ, shape (Σrows, Σrows), with the values ``parameters``, shape (k,)."""
         return np.diag(np.repeat(parameters, self.sizes))
 
     def polished(self, parameters: np.ndarray, omega: float) -> Crossing:

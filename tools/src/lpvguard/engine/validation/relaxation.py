@@ -87,8 +87,9 @@ class BranchNode:
 class Tangent:
     """Bounds of :meth:`Relaxation.tangent` and the primal matrix (n, n), or None.
 
-    ``lower`` holds over the node. ``centre`` holds at the centre of the boxes on the central ray, ``box`` at
-    the corners of the boxes on the central ray, and ``cone`` at the centre of the boxes on all rays.
+    ``lower`` holds over the node. ``centre`` holds at the centre of the boxes on the central ray. ``box``
+    holds at the corners of the boxes on the central ray. ``cone`` holds at the centre of the boxes on all
+    rays.
     """
 
     lower: float
