@@ -190,8 +190,9 @@ def fold(parts: Iterable[Part]) -> Part:
 class Deciders:
     """Frames that decide a bound ``key`` (K, m).
 
-    For each entry of the bound this holds the drive, the first sample of the deciding frame, and the bound
-    without this frame and those that overlap it. The memory does not depend on the number of drives.
+    For each entry of the bound this holds the drive and the first sample of the deciding frame. It also holds
+    the bound without this frame and those that overlap it. The memory does not depend on the number of
+    drives.
     """
 
     def __init__(self, key: str, shape: tuple[int, int]):
@@ -375,7 +376,7 @@ def front(E: np.ndarray, Z: np.ndarray, gamma_w: np.ndarray) -> np.ndarray:
     Every gamma_w must be at least the largest B1. The approximation nu = |delta0| - sqrt(gamma_w^2 - B1^2) /
     |Z| with its rounding error selects the frames that can have the largest nu. Only these frames are solved
     without cancellation. Successive frames are similar. The largest |delta0|, B1 and |Z| of FRONT_BLOCK
-    frames therefore bound the nu of a block, and most blocks are excluded by the first frames of all blocks.
+    frames therefore bound the nu of a block. The first frames of all blocks exclude most blocks.
     """
     out, valid = np.full(len(gamma_w), np.nan), np.flatnonzero(~np.isnan(gamma_w))
     if not len(E) or not len(valid):

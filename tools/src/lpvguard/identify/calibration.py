@@ -338,7 +338,7 @@ class Calibration:
         )
         if self.group is not None:
             return claims
-        return f"pooled: {self._pooled_claim()}; {claims}; threshold of the core: {self.carried:.4g}, the largest"
+        return f"pooled: {self._pooled_claim()}; {claims}; the core has the largest, {self.carried:.4g}"
 
     def _pooled_claim(self) -> str:
         if self.extrapolation is not None:

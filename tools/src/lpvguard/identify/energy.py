@@ -1,9 +1,9 @@
 """Stage 5, the energy test (T19): does one causal Delta for all outputs, or one for each output, explain the
 drive?
 
-THEORY 7.2 has its assumptions and proof, the weight (T20), the bands F (T21, T22) and the restart in the
-middle of a drive (T19b). sigma is first set for every output alone. A common factor for each band then makes
-the test hold for the fan of directions too.
+THEORY 7.2 has the assumptions and the proof. It defines the weight (T20) and the bands F (T21, T22). It also
+covers a restart in the middle of a drive (T19b). sigma is first set for every output alone. A common factor
+for each band then makes the test hold for the fan of directions too.
 """
 
 from __future__ import annotations

@@ -149,7 +149,7 @@ class OverDrives:
             name, reason = next(iter(self.left_out.items()))
             raise self.drives.error(
                 "split " + ", ".join(self.reader.project.data.bound_split),
-                "no drive has a counted frame",
+                "no frame counts: no judged stretch at all",
                 f"at least one drive with one, unlike {name} ({reason})",
             )
         self._require_scores(drives, judged=True)

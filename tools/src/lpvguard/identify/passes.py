@@ -130,7 +130,7 @@ class DriveReader:
         shortest_s = self.estimator.length.min() * self.estimator.Ts
         settled_s = self.estimator.settle * self.estimator.Ts
         return (
-            f"no counted frame: no {shortest_s:g} s within {low:g}..{high:g} m/s and "
+            f"no frame counts: no {shortest_s:g} s within {low:g}..{high:g} m/s and "
             f"{self.estimator.speed_tolerance:.0%} of their mean speed"
             + (f", {settled_s:.3g} s after the speed enters the range" if self.estimator.settle else "")
         )

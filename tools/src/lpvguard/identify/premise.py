@@ -36,8 +36,9 @@ class Least:
     def sentence(self, sign: str) -> str:
         """Sentence with the ratio. ``sign`` is the sign of k se."""
         return (
-            f"W_delta = {self.W_delta:.3g} is {self.ratio:.3g} times |delta_c| {sign} k se = {self.delta:.3g} "
-            f"{sign} {self.spread:.3g} of {self.output} at {self.omega:.3g} rad/s and {self.v:.3g} m/s"
+            f"W_delta = {self.W_delta:.3g} is {self.ratio:.3g} times |delta_c| {sign} k se = "
+            f"{self.delta:.3g} {sign} {self.spread:.3g} of {self.output} "
+            f"at {self.omega:.3g} rad/s and {self.v:.3g} m/s"
         )
 
 

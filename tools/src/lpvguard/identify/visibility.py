@@ -121,10 +121,9 @@ def visibility(
     B_w. Frames of the bins ``silent`` raise no alarm and show nothing. ``pools`` are the excitation and the
     threshold of the pools.
 
-    ``at_percentile`` and ``at_strongest`` list the cells. Each cell has lists over the bins: ``frames``,
-    ``excitation``
-    |Z| [output units], ``gain_error`` [-], its ``limit`` (T55) and ``delay_s``. A delay is None at DC and where no
-    delay has an error of this size.
+    ``at_percentile`` and ``at_strongest`` list the cells. Each cell has lists over the bins. They are
+    ``frames``, ``excitation`` (|Z| in output units), ``gain_error`` [-], its ``limit`` (T55) and ``delay_s``.
+    A delay is None at DC and where no delay has an error of this size.
     """
     edges = _edges(speed_range)
 

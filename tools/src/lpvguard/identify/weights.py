@@ -97,7 +97,7 @@ class Weights:
     floored : dict, by weight, frequencies [rad/s] where the sensor explains all of B_w (step 7)
     disturbance_set : str
     healthy : HealthySet or None, bounds of the frame test, which uses the fitted weights without it
-    W_delta_healthy : list of FittedWeight, above the W_delta of ``healthy``, for the energy test; may be empty
+    W_delta_healthy : list of FittedWeight, above W_delta of ``healthy``, for the energy test; may be empty
     inflation : float
     silent : tuple of int
         Bins without evidence above 1. They do not affect the threshold and raise no alarm (THEORY 7.1).

@@ -1,8 +1,8 @@
 """Stage 4: fit stable, minimum-phase weights of low order that are proved to lie above the bounds.
 
-Reads omega (K,) rad/s, bound (K,) in the unit of the weighted signal (NaN: bin without data) Gives ``Weight``
-W(s) with |W(jw)| >= bound(w) for every w >= 0, and its tightness Source Roedoenyi & Bokor, section III, steps
-6 and 7; THEORY 5.3
+Reads   omega (K,) rad/s, bound (K,) in the unit of the weighted signal (NaN: bin without data)
+Gives   ``Weight`` W(s) with |W(jw)| >= bound(w) for every w >= 0, and its tightness
+Source  Roedoenyi & Bokor, section III, steps 6 and 7; THEORY 5.3
 
 The *worst ratio* is sup |W|/bound over all w, the ends included. A strictly proper weight cannot stay above a
 constant for all w, so its claims end at the last sample.
