@@ -190,9 +190,9 @@ def test_identify_refuses_drives_of_which_nothing_calibrates(split, lpvguard, sy
     assert done.returncode == 2 and not (tmp_path / "id").exists()
     said = " ".join(done.stderr.split())
     if split == "train":
-        assert "experiments.csv: column split: nothing calibrates: every drive sets the bounds" in said
+        assert "experiments.csv: column split: no drive calibrates: every drive sets the bounds" in said
     else:
-        assert "drives that calibrate (1): nothing calibrates: no test judges a drive (slow: no" in said
+        assert "drives that calibrate (1): no drive calibrates: no test judges one (slow: no" in said
     assert [p.name for p in tmp_path.iterdir()] == ["drives"]
 
 

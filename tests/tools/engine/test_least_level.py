@@ -474,7 +474,7 @@ def test_after_a_proof_that_fails_more_speeds_are_asked(monkeypatch):
         ("proof", pytest.approx(0.5 * 1.001**0.5), 0.1, RATE),
         ("violated", 0.001, on_grid, 4 * 32 + 1),
         ("joined", [1.01, 1.02]),
-        "storage function asked at 35 speeds",
+        "storage function at 35 speeds",
         ("search", 0.001, on_grid),
         ("evened", 0.21),
         "proof between the speeds",

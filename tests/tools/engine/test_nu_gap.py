@@ -101,7 +101,7 @@ def test_a_gap_of_wrong_factors_is_refused(inputs, which, monkeypatch):
         return StateSpace(factor.A, factor.B, (1 + 1e-5) * factor.C, (1 + 1e-5) * factor.D)
 
     monkeypatch.setattr(parts, which, planted)
-    with pytest.raises(SynthesisError, match=r"rad/s: not proved: the distance is"):
+    with pytest.raises(SynthesisError, match=r"rad/s: not proved: the plants' distance is"):
         nu_gap(first, other)
 
 

@@ -114,7 +114,7 @@ def test_the_proof_fails_for_a_smaller_Q_and_for_a_gain_above_1():
 
 def test_a_loop_without_delay_is_refused():
     direct = StateSpace([[0.5]], [[1.0]], [[1.0]], [[1.0]], DT)
-    with pytest.raises(SynthesisError, match="late by a sample"):
+    with pytest.raises(SynthesisError, match="a delay of at least one sample"):
         LimitedLoop(plant(), direct, np.zeros((1, 1)), 2.0, SCALING)
 
 

@@ -85,7 +85,7 @@ def test_demands_that_come_late_by_a_sample_are_asked_for():
     direct = GeneralisedPlant(StateSpace(G.A, G.B, G.C, D, DT), one.blocks, 1, 2, 1, 2)
     at_once = StateSpace(K.A, K.B, K.C, [[0.0, 0.1]], DT)
     for bad, controller in ((direct, K), (one, at_once)):
-        with pytest.raises(SynthesisError, match="inputs that are late by a sample"):
+        with pytest.raises(SynthesisError, match="inputs with a delay of at least one sample"):
             limited_loop(bad, controller, L, 2.0, SCALING)
 
 

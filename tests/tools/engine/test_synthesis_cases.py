@@ -129,29 +129,30 @@ def test_what_is_told_of_a_row_that_has_the_papers_digits(monkeypatch):
     for off in (0.0, 4.9e-4, -4.9e-4):
         text = sentence(row(paper=0.9 + off), monkeypatch)
         assert text == (
-            "The paper's value to its three digits, as what the calibrated noise and disturbance allow at DC "
-            f"decides: {LIMIT}; order 0."
+            "The level equals the paper's to three digits, because the calibrated noise and disturbance "
+            f"limit the level at DC: {LIMIT}; order 0."
         )
     text = sentence(row("K_inf", paper=0.9, paper_order=23), monkeypatch)
     assert text == (
-        "The paper's value to its three digits, as |W_nr(0)| and |W_wr(0)| were calibrated to this row: "
-        f"{LIMIT}; order 0 instead of 23 since states are cut as long as the certified level stays "
-        "(before: 9)."
+        "The level equals the paper's to three digits, because |W_nr(0)| and |W_wr(0)| were calibrated to "
+        "this row: "
+        f"{LIMIT}; order 0 instead of 23, because states are removed while the certified level does not rise "
+        "(order before: 9)."
     )
     # Half a unit of the last digit, exactly.
     exact = sentence(row(paper=0.5, upper=0.5 + 2.0**-11), monkeypatch)
-    assert exact.startswith("The paper's value")
+    assert exact.startswith("The level equals the paper's")
     monkeypatch.setattr(cases, "PAPER_DIGITS", 2.0**-11)
-    assert sentence(row(paper=0.5, upper=0.5 + 2.0**-11), monkeypatch).startswith("The paper's value")
+    assert sentence(row(paper=0.5, upper=0.5 + 2.0**-11), monkeypatch).startswith("The level equals")
 
 
 def test_what_is_told_of_a_row_that_differs(monkeypatch):
-    within = f"{LIMIT}, and ours is within 5.9e-02 of that"
+    within = f"{LIMIT}, and this case's level is within 5.9e-02 of this limit"
     assert sentence(row(paper=1.0), monkeypatch) == f"10.0% below the paper's 1: {within}; order 0."
     assert sentence(row(paper=0.8), monkeypatch) == f"12.5% above the paper's 0.8: {within}; order 0."
     assert sentence(row(paper=1.0), monkeypatch, scale=2.345) == (
-        f"10.0% below the paper's 1: {within}; the paper's value would be this limit with the uncertainty "
-        "weights 2.3 times as large, and its own are not published; order 0."
+        f"10.0% below the paper's 1: {within}; this limit would be the paper's value if the uncertainty "
+        "weights were 2.3 times as large, and the paper's weights are not published; order 0."
     )
     assert sentence(row(paper=0.3), monkeypatch).startswith("200.0% above")
 
@@ -170,7 +171,7 @@ def test_what_is_told_of_a_row_that_differs(monkeypatch):
 def test_a_reference_below_the_limit_is_told_to_be_rounded(monkeypatch, reference, upper, floor, rounded):
     one = row(paper=1.0, reference=reference, upper=upper)
     one = cases.TableRow(**(vars(one) | {"floor": Floor(floor, floor, 0.5)}))
-    said = f"; the reference's {reference or 0:g} is rounded, and below that limit"
+    said = f"; the reference's value {reference or 0:g} is rounded and lies below this limit"
     assert (said in sentence(one, monkeypatch)) == rounded
 
 
@@ -178,8 +179,9 @@ def test_a_level_that_moves_as_the_effort_does_is_told():
     one = row("K_i", 80.0, 1e-6, paper=1.0)
     moved = row("K_i", 60.0, 1e-6, paper=0.9, upper=0.72)
     assert cases._moves(one, 1.0, [one, moved]) == (
-        "; from A_t 80, A_u 1e-06 to 60, 1e-06 the paper's level moves by -10.0%, ours by -20.0% and A_t by "
-        "-25.0%: the paper's is limited by the control effort, this case's by tracking at DC"
+        "; from A_t 80, A_u 1e-06 to 60, 1e-06 the paper's level changes by -10.0%, this case's by -20.0% "
+        "and A_t by -25.0%: the control effort limits the paper's level, and tracking at DC limits this "
+        "case's level"
     )
     smaller = row("K_i", 60.0, 1e-7, paper=0.9)
     below = row("K_i", 80.0, 1e-6, paper=0.9)

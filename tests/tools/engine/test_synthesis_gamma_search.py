@@ -280,9 +280,9 @@ def test_what_is_singular_is_said():
     assert GammaProblem(plant()).notes == [] and not GammaProblem(plant()).singular
     problem = GammaProblem(plant(D12=0.0))
     assert problem.singular and problem.axis == ()
-    assert problem.notes == ["D12 has rank 0 of 1 (controls without direct cost): 1 states freed"]
+    assert problem.notes == ["D12 has rank 0 of 1 (controls without direct cost): 1 states removed"]
     problem = GammaProblem(plant(D21=0.0))
-    assert problem.notes == ["D21 has rank 0 of 1 (measurements without noise): 1 states freed"]
+    assert problem.notes == ["D21 has rank 0 of 1 (measurements without noise): 1 states removed"]
 
 
 def singular_plant(cost: float = 0.0) -> Plant:

@@ -357,7 +357,7 @@ def test_what_rounding_of_the_plant_hides_is_not_claimed(size):
     try:
         got = hinf_synthesis(other, 1, 1)
     except SynthesisError as refused:
-        assert "last digits of A move its pole" in str(refused)
+        assert "last digits of A move the pole" in str(refused)
         return
     assert not got.resolved and calm.gamma <= got.gamma_achieved
     lower = proved_lower_bound(other, 1, 1, got.gamma)

@@ -192,7 +192,7 @@ def test_samples_give_the_margins_of_the_system():
 
 def test_samples_that_do_not_tell_the_loop_are_refused():
     omega = np.geomspace(0.1, 10.0, 12)
-    with pytest.raises(SynthesisError, match=r"L at .* known to .* more samples"):
+    with pytest.raises(SynthesisError, match=r"L at .* an estimated error of .* more samples"):
         of_samples(omega, np.exp(-2j * omega))
     with pytest.raises(SynthesisError, match="not finite"):
         of_samples(omega, np.full(12, np.nan))

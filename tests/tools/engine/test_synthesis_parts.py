@@ -117,7 +117,7 @@ def test_the_blocks_are_those_of_the_plants_signals():
 def test_one_signal_at_least_stays_beside_controls_and_measurements(n_u, n_y, named):
     with pytest.raises(SynthesisError, match=named) as raised:
         partition.check_shape(plant(0), n_u, n_y)
-    assert "a whole number from 1 to 3: the plant has 4" in str(raised.value)
+    assert "a whole number from 1 to 3, because the plant has 4" in str(raised.value)
     partition.check_shape(plant(0), 1, 3)
     partition.check_shape(plant(0), np.int64(3), 1)
 

@@ -404,7 +404,7 @@ def test_s2_takes_its_arguments_by_shape_and_names_each_that_is_not_positive_or_
             with pytest.raises(InputError, match=r"S2.*shape"):
                 replace(data, **{name: longer}).check(None)
     for names in (["a", "b"], ["a", "b", "c", "d"]):
-        with pytest.raises(InputError, match="one a point"):
+        with pytest.raises(InputError, match="one for each point"):
             data.check(names)
     places = {"e": "e", "u": "u", "x_nom": "x_nom", "h_i": "h_i", "h_s": "h_s", "gamma": "gamma_w"}
     for name, prefix in places.items():

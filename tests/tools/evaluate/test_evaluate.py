@@ -287,8 +287,8 @@ def test_pieces_of_two_recordings_buy_no_alpha():
     assert calibration.alpha is None and calibration.conditional_bound is None
     assert calibration.threshold == max(scores.values())
     assert calibration.claim() == (
-        "alpha is not stated: 21 drives calibrate, of 2 recordings that did not set the bounds; "
-        "pieces of one recording are no draws of their own"
+        "alpha is not stated: 21 drives calibrate, from 2 recordings that did not set the bounds; "
+        "drives of one recording are not independent"
     )
     assert calibrate(scores, 0.05).alpha == 0.05, "as they would as drives of their own"
 
@@ -303,7 +303,7 @@ def test_a_recordings_score_is_its_largest_and_one_that_sets_the_bounds_does_not
     assert calibration.threshold == scores["r8_2"] and "from 9 recordings" in calibration.claim()
     two_set = calibrate(scores, 0.1, recordings=replace(recordings, setting=("r8", "r9")))
     assert two_set.alpha is None and two_set.threshold == max(scores.values())
-    assert two_set.claim().endswith("and 6 are of recordings that set the bounds")
+    assert two_set.claim().endswith("and 6 drives belong to recordings that set the bounds")
     assert recordings.others(scores, "r3_1") == [n for n in scores if not n.startswith("r3_")]
     for c in (calibration, two_set, calibrate(scores, 0.1)):
         assert Calibration.from_dict(json.loads(json.dumps(c.to_dict()))) == c
@@ -389,7 +389,7 @@ def test_recordings_of_the_index_reach_the_claims_and_whole_ones_are_left_out(fo
     day = {"synthetic_06": "monday", "synthetic_07": "monday", "synthetic_02": "tuesday"}
     (made / "experiments.csv").write_text(index_text((n, s, day.get(n, n)) for n, s in splits.items()))
     table = evaluated(g80, core, made)
-    said = "alpha is not stated: 3 drives calibrate, of 2 recordings that did not set the bounds"
+    said = "alpha is not stated: 3 drives calibrate, from 2 recordings that did not set the bounds"
     assert table["claims"]["identified"]["frame"].startswith(said)
     left = {r["run"]: r["calibration"]["monitor"]["drives"] for r in table["drives"]}
     assert left == {"synthetic_06": 1, "synthetic_07": 1, "synthetic_08": 2}
@@ -423,8 +423,8 @@ def test_21_pieces_of_two_recordings_buy_no_alpha_and_the_sentence_says_why(fold
     done = lpvguard("identify", "--vehicle", "g80", made, "-o", out, "--json", made.parent / "told.json")
     assert done.returncode == 0, done.stderr
     why = (
-        "alpha is not stated: 21 drives calibrate, of 2 recordings that did not set the bounds; "
-        "pieces of one recording are no draws of their own"
+        "alpha is not stated: 21 drives calibrate, from 2 recordings that did not set the bounds; "
+        "drives of one recording are not independent"
     )
     assert " ".join(done.stderr.split()).count(why) == 3, "of every test"
     identification = json.loads((made.parent / "told.json").read_text())
@@ -502,7 +502,7 @@ def test_a_claim_is_stated_an_hour_judged_too():
     timed = plain.over(dict.fromkeys((*scores, "another"), 360.0))
     assert timed.claim() == f"{plain.claim()}; {timed.hourly[2:]}"
     bound = plain.conditional_bound * 10 / 1.1
-    assert timed.hourly == f"; 0.909 and {bound:.3g} an hour judged, of 1.1 h", (
+    assert timed.hourly == f"; 0.909 and {bound:.3g} per judged hour, from 1.1 h", (
         "eleven drives, ten recordings"
     )
     assert Calibration.from_dict(timed.to_dict()) == timed
@@ -511,4 +511,4 @@ def test_a_claim_is_stated_an_hour_judged_too():
     grouped = Recordings(groups=dict.fromkeys((f"d{i}" for i in range(10)), "wet"))
     ten = {k: v for k, v in scores.items() if k.startswith("d")}
     said = calibrate(ten, 0.1, recordings=grouped).over(dict.fromkeys(ten, 720.0)).claim()
-    assert said.count("an hour judged, of 2 h") == 2
+    assert said.count("per judged hour, from 2 h") == 2

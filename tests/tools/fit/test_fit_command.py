@@ -83,7 +83,7 @@ def test_a_delay_that_is_not_there_is_a_finding_and_identify_refuses_it(lpvguard
     done = lpvguard("fit", "--vehicle", late, folder / "drives", "-o", folder / "fit")
     assert done.returncode == 1 and "the project file's delay of 20 s does not fit the drives" in done.stderr
     refused = lpvguard("identify", "--vehicle", late, folder / "drives", "-o", folder / "out")
-    assert refused.returncode == 2 and "the model is worse than none" in refused.stderr
+    assert refused.returncode == 2 and "the model is worse than no model" in refused.stderr
 
 
 def test_half_the_rate_and_shuffled_time_are_named(lpvguard, folder):

@@ -38,8 +38,8 @@ def test_fewer_recordings_extrapolate_and_say_so():
     tail = calibration.extrapolation
     assert calibration.alpha is None and tail is not None
     assert calibration.threshold == tail.threshold > max(scores.values())
-    assert "1 per 1000 h judged, extrapolated from 25 hours" in calibration.claim()
-    assert "975 more hours judged make it exact" in calibration.claim()
+    assert "1 alarms per 1000 judged hours, extrapolated from 25 hours" in calibration.claim()
+    assert "975 more judged hours would make it exact" in calibration.claim()
     assert tail.interval[0] <= 1.0 <= tail.interval[1]
     again = Calibration.from_dict(json.loads(json.dumps(calibration.over(dict(target.judged_s)).to_dict())))
     assert again == calibration.over(dict(target.judged_s))

@@ -97,11 +97,11 @@ def test_a_recording_scores_its_worst_piece_and_one_that_set_the_bounds_none():
     calibration = calibrate(scores, 0.1, recordings=PIECES)
     assert calibration.alpha is None and calibration.threshold == 9.0
     assert calibration.claim() == (
-        "alpha is not stated: 6 drives calibrate, of 3 recordings that did not set the bounds; pieces of one "
-        "recording are no draws of their own, and 2 are of recordings that set the bounds"
+        "alpha is not stated: 6 drives calibrate, from 3 recordings that did not set the bounds; drives of "
+        "one recording are not independent, and 2 drives belong to recordings that set the bounds"
     )
     without = calibrate({"a1": 1.5, "b1": 1.1}, 0.1, recordings=PIECES)
-    assert without.claim().endswith("pieces of one recording are no draws of their own")
+    assert without.claim().endswith("drives of one recording are not independent")
     assert without.units() == "2 recordings" and calibrate({"x": 1.0}, 0.1).units() == "1 drives"
 
 
@@ -124,7 +124,7 @@ def test_the_claim_an_hour_is_the_rate_of_recordings_of_the_mean_length():
     calibration = calibrate(scores, 0.1).over(judged | {"another": 1e9})
     assert calibration.judged_s == judged
     bound = calibration.conditional_bound * 19 / 0.475
-    assert calibration.hourly == f"; 4 and {bound:.3g} an hour judged, of 0.475 h"
+    assert calibration.hourly == f"; 4 and {bound:.3g} per judged hour, from 0.475 h"
     assert calibration.claim().endswith(calibration.hourly)
     assert calibrate(scores, 0.1).hourly == ""
     assert calibrate(scores, 0.01).over(judged).hourly == "", "no alpha, no rate"
@@ -136,7 +136,7 @@ def test_the_claim_an_hour_leaves_out_recordings_that_set_the_bounds_and_counts_
     calibration = calibrate(scores, 0.2, recordings=recordings).over(dict.fromkeys(scores, 360.0))
     # 18 recordings: r of two drives, 17 of one. 19 drives are judged for 0.1 h each.
     assert calibration.alpha == 0.2 and calibration.hourly.startswith(f"; {0.2 * 18 / 1.9:.3g} and ")
-    assert calibration.hourly.endswith("an hour judged, of 1.9 h")
+    assert calibration.hourly.endswith("per judged hour, from 1.9 h")
 
 
 def test_each_group_states_its_own_hours():
@@ -146,9 +146,12 @@ def test_each_group_states_its_own_hours():
     calibration = calibrate(scores, 0.2, recordings=Recordings(groups=groups)).over(judged)
     dry, wet = (calibration.of_group(g) for g in ("dry", "wet"))
     assert set(dry.scores) == {d for d, g in groups.items() if g == "dry"} and len(wet.scores) == 11
-    assert wet.claim().endswith("an hour judged, of 2.2 h") and f"; {0.2 * 11 / 2.2:.3g} and " in wet.claim()
     assert (
-        dry.claim().endswith("an hour judged, of 0.19 h") and f"; {0.2 * 19 / 0.19:.3g} and " in dry.claim()
+        wet.claim().endswith("per judged hour, from 2.2 h") and f"; {0.2 * 11 / 2.2:.3g} and " in wet.claim()
+    )
+    assert (
+        dry.claim().endswith("per judged hour, from 0.19 h")
+        and f"; {0.2 * 19 / 0.19:.3g} and " in dry.claim()
     )
     assert f"of {2.2 + 0.19:.3g} h" in calibration.claim()
     assert dry.groups == {"dry": calibration.groups["dry"]} and dry.group == "dry"
@@ -226,7 +229,7 @@ def test_recordings_are_read_from_the_list_of_experiments_once():
 def test_an_hour_is_3600_s():
     scores = scores_of(19)
     calibration = calibrate(scores, 0.1).over(dict.fromkeys(scores, 1805.3 / 19))
-    assert calibration.hourly.endswith("an hour judged, of 0.501 h")
+    assert calibration.hourly.endswith("per judged hour, from 0.501 h")
 
 
 def run_of(frames, energy=(0.0, 0.0), change=(0.0, 0.0), energy_band=(0, 0)) -> SimpleNamespace:
@@ -284,7 +287,7 @@ def test_without_a_drive_that_calibrates_there_is_no_threshold(tmp_path):
     drives.folder = tmp_path
     require_calibration(drives, iter(["a", "b"]), {"a": "too short"}, True)
     with pytest.raises(
-        InputError, match=r"experiments.csv: column split: nothing calibrates: every drive.*from 9 rec"
+        InputError, match=r"experiments.csv: column split: no drive calibrates: every drive.*at least 9 rec"
     ):
         require_calibration(drives, [], {"a": "too short"}, True)
     with pytest.raises(InputError, match=r"calibrate \(3\): .*no test judges a drive \(b: too short\)"):

@@ -169,12 +169,12 @@ def test_a_memory_of_less_than_two_blocks_and_another_than_stored_are_refused(g8
     data = json.loads((copy / "change.json").read_text())
     (copy / "change.json").write_text(json.dumps(data | {"memory_s": 2 * data["memory_s"]}))
     artefacts.seal(copy)
-    with pytest.raises(InputError, match=r"memory_s: .* which project.json describes"):
+    with pytest.raises(InputError, match=r"memory_s: .* the memory of project.json"):
         stage.load(copy)
 
 
 def test_without_a_settled_block_there_are_no_sizes(g80):
-    with pytest.raises(InputError, match="no block of a drive that sets the bounds"):
+    with pytest.raises(InputError, match="the drives that set the bounds have no settled block"):
         ChangeTest.design(g80).with_moments(np.zeros((1, 3, 3)))
 
 

@@ -88,7 +88,9 @@ def test_a_threshold_names_drive_time_and_bin_and_what_it_is_without_one_frame(i
     frequency = f"{stored.bounds['omega_rad_s'][RARE]:.3g} rad/s"
     begin = "test: drive_8 decides the threshold 2.89"
     assert decides_thresholds(result) == [
-        Decision(f"frame {begin}, at 41.2 s, {frequency}; one frame does: without it 1.5", alone=True),
+        Decision(
+            f"frame {begin}, at 41.2 s, {frequency}; one frame alone decides: without it 1.5", alone=True
+        ),
         Decision(f"energy {begin}, at 7 s, band between", alone=False),
         Decision(f"change {begin}, at 9 s", alone=False),
     ]
@@ -99,7 +101,7 @@ def test_a_threshold_names_drive_time_and_bin_and_what_it_is_without_one_frame(i
         stored, calibration=Calibration(1.0, dict.fromkeys(names, 0.2), 0.1, 0.3), energy=None, change=None
     )
     assert decides_thresholds(floor) == [
-        Decision("frame test: no drive decides the threshold 1, its floor", alone=False)
+        Decision("frame test: the floor of the test decides the threshold 1", alone=False)
     ]
 
 
@@ -122,7 +124,7 @@ def test_a_drive_whose_score_lies_outside_the_others_is_named_and_still_calibrat
         )
 
     frequency = f"{stored.bounds['omega_rad_s'][RARE]:.3g} rad/s"
-    begin = "test: slide lies outside the other calibration drives: 6, their median is 0.591"
+    begin = "test: the score of slide, 6, is an outlier among the calibration drives, whose median is 0.591"
     end = "; the drive calibrates unless experiments.csv sets it aside"
     frame, energy = (
         f"frame {begin}, at 41.2 s, {frequency}{end}",
@@ -156,7 +158,9 @@ def test_a_bound_names_drive_and_time_and_what_it_is_without_one_frame(identifie
     )
     frequency = f"{stored.bounds['omega_rad_s'][RARE]:.3g} rad/s"
     begin = f"{frequency}: slide decides B_w of yaw_rate, 0.3, from 1 s on"
-    assert decides_bounds(result) == [Decision(f"{begin}; one frame does: without it 0.1", alone=True)]
+    assert decides_bounds(result) == [
+        Decision(f"{begin}; one frame alone decides: without it 0.1", alone=True)
+    ]
     deciders.others[RARE] = 0.29
     assert decides_bounds(result) == [Decision(begin, alone=False)]
     deciders.largest[RARE] = 0.01
@@ -226,12 +230,12 @@ def test_which_bins_are_silent_and_why_is_said_and_stored(identified, g80):
     sentences = silence(said(stored, weights=weights, evidence=evidence))
     assert sentences == [
         f"{low} is silent: on the drives that set the bounds a vehicle that does not respond would have had "
-        "margins up to 0.46",
-        f"{high} is silent: fewer than 8 frames one after another set its bounds",
+        "margins of at most 0.46",
+        f"{high} is silent: fewer than 8 successive frames set its bounds",
     ]
     energy = replace(stored.energy, silent=(0, 1))
     assert silence(said(stored, weights=replace(weights, silent=()), energy=energy)) == [
-        "energy test: silent in the bands below, between, since every bin is"
+        "energy test: silent in the bands below, between, because every bin is silent"
     ]
     assert weights.to_dict()["silent_bins"] == [RARE, RARE + 1]
     assert stored.fitted.from_dict(stored.weights | {"silent_bins": [3]}, "here").silent == (3,)

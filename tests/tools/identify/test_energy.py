@@ -592,7 +592,7 @@ def test_identification_coefficients_and_core_of_different_structures_are_refuse
     bounds = project.bounds.model_copy(update={"structure": "S1"})
     common = project.model_copy(update={"bounds": bounds})
     wide = np.ones((estimator.n_bins, 2))
-    with pytest.raises(InputError, match="W_delta: 2 weights, 2 bounds; expected 1 of each: structure S1"):
+    with pytest.raises(InputError, match="W_delta: 2 weights, 2 bounds; expected 1 of each for structure S1"):
         EnergyTest.design(
             common, estimator, [Weight([1.0], [1.0])] * 2, [1.0, 2.0], np.full((2, 2), 0.5), 1.0
         )

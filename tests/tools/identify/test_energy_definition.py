@@ -351,7 +351,7 @@ def test_a_factor_common_to_numerator_and_denominator_changes_no_filter(g80, g80
 def test_weights_and_bounds_are_as_many_as_the_structure_has(g80, g80_model):
     estimator, W = Estimator.from_project(g80, g80_model), Weight([1.0], [1.0])
     for weights, bound in (([W, W], [[0.2]]), ([W], [[0.2, 0.2]]), ([W, W], [[0.2, 0.2]])):
-        with pytest.raises(InputError, match="1 of each: structure"):
+        with pytest.raises(InputError, match="1 of each for structure"):
             EnergyTest.design(g80, estimator, weights, [1.0], bound, 1.0)
     with pytest.raises(InputError, match=r"W_delta, warped.*expected a weight that stays above its bound"):
         EnergyTest.design(g80, estimator, [Weight([1.0, -1.0], [1.0, 1.0])], [1.0], [[0.2]], 1.0)

@@ -37,12 +37,13 @@ def test_a_group_with_enough_recordings_has_its_own_threshold_and_the_others_the
     assert dry.claim().startswith("group dry: threshold 1.18, alpha 0.1 from 19 recordings, with 95 % ")
     said = snow.claim()
     assert said == (
-        "group snow: 3 recordings are too few for its own threshold; it has the pooled one without alpha"
+        "group snow: 3 recordings are too few for a separate threshold; the group has the pooled "
+        "threshold without alpha"
     )
     assert snow.alpha is None is snow.conditional_bound and dry.alpha == wet.alpha == calibration.alpha == 0.1
     assert calibration.claim().startswith("pooled: alpha 0.1 from 34 drives") and said in calibration.claim()
     assert dry.claim() in calibration.claim() and wet.claim() in calibration.claim()
-    assert calibration.claim().endswith("the core carries the largest, 3.01")
+    assert calibration.claim().endswith("the core has the largest, 3.01")
     assert (
         calibration.of_group(None) == calibration
         and "group fog: 0 recordings" in calibration.of_group("fog").claim()
@@ -94,10 +95,10 @@ def experiment(name: str, recording: str, group: str | None) -> Experiment:
 def test_a_recording_is_of_one_group():
     pieces = [experiment("a", "day", "dry"), experiment("b", "day", "wet")]
     with pytest.raises(
-        InputError, match=r"column group.*a \(dry\) and b \(wet\) are pieces of recording day"
+        InputError, match=r"column group.*a \(dry\) and b \(wet\) belong to one recording, day"
     ):
         Recordings.listed((), pieces)
-    with pytest.raises(InputError, match="column group: c has none, others have one"):
+    with pytest.raises(InputError, match="column group: c has no group, but other drives have one"):
         Recordings.listed((), [pieces[0], experiment("c", "c", None)])
     listed = Recordings.listed([experiment("s", "s", "dry")], [replace(pieces[1], group="dry"), pieces[0]])
     assert listed.groups == {"b": "dry", "a": "dry"} and listed.named("b") == "day"

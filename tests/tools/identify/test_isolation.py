@@ -176,7 +176,7 @@ def test_pieces_of_a_drive_name_the_parts_that_the_whole_drive_names(isolation):
 
 
 def test_drives_without_a_whole_window_are_refused(isolation):
-    with pytest.raises(InputError, match=r"window_s: no drive holds 60 s .* longer drives or a shorter"):
+    with pytest.raises(InputError, match=r"window_s: no drive has 60 s .* longer drives or a shorter"):
         isolation.finished([[], []])
 
 

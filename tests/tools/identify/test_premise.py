@@ -19,7 +19,7 @@ from lpvguard.identify.premise import Least, Premise, premise, require_premise, 
 from lpvguard.identify.weights import Weights, energy_filters
 from lpvguard.vehicle.nominal import NominalModel
 
-JUDGED = "W_delta is .* beside .delta_c. - k se = .* rad/s and .* m/s"
+JUDGED = "W_delta = .* times .delta_c. - k se = .* rad/s and .* m/s"
 
 
 @pytest.fixture(scope="module")
@@ -113,8 +113,8 @@ def test_without_drives_that_judge_the_gate_is_shut(stored):
 
 def test_a_drive_alone_says_that_none_was_left_out():
     least = Least(1.1, "yaw_rate", 1.0, 10.0, 0.5, 0.1, 0.44)
-    assert "none left out" in Premise(None, least, float("nan"), 0).sentence()
-    assert "ask for nothing" in Premise(None, least, 1.0, 4).sentence()
+    assert "none, because there is only one" in Premise(None, least, float("nan"), 0).sentence()
+    assert "need no uncertainty" in Premise(None, least, 1.0, 4).sentence()
 
 
 # ------------------------------------------------------------------------------- the truck's identification

@@ -203,7 +203,9 @@ def test_a_vehicle_whose_only_sin_is_rounding_is_not_falsified(coarse, monkeypat
         identification.bounds.B_w[speaks] == floor[speaks]
     ).any()
     (said,) = unresolved(identification)
-    assert said.startswith("B_w of yaw_rate is the limit of its sensor, and the drives need no more, at 0")
+    assert said.startswith(
+        "the limit of the sensor of yaw_rate decides its B_w, and the drives need no more, at 0"
+    )
     assert "steps of 0.02 rad/s, noise of 0 rad/s" in said
     gentle = [quantised(100 + i, a) for i, a in enumerate((2e-4, 5e-4, 1e-3, 2e-3))]
     assert set(np.unique(np.round(gentle[1].y / STEP))) <= {-1.0, 0.0, 1.0}, "a bit or two"

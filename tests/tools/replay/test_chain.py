@@ -69,7 +69,8 @@ def test_a_lowered_weight_or_another_estimator_is_refused_on_load(identified, tm
             (
                 "weights.json",
                 lambda d: d.update(W_delta=d["W_delta"][0]),
-                "W_delta: one weight; expected a list, one a Delta: identify the drives again",
+                "W_delta: one weight; expected a list with one weight for each Delta, from a new "
+                "identification",
             ),
             (
                 "weights.json",

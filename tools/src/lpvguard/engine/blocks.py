@@ -16,7 +16,7 @@ class Block:
     Attributes
     ----------
     kind : str, full (any complex matrix), repeated_complex or repeated_real (a scalar times the identity)
-    rows, cols : int, numbers of outputs xi_i and inputs eta_i
+    rows, cols : int, number of outputs xi_i and of inputs eta_i
 
     Raises
     ------
@@ -39,5 +39,5 @@ class Block:
 
     @property
     def repeated(self) -> bool:
-        """Tell if the block is one scalar times the identity."""
+        """Whether the block is one scalar times the identity."""
         return self.kind != "full"

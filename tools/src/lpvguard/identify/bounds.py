@@ -1,18 +1,18 @@
-"""Stage 3, unfalsified bounds: B1, B2, gamma_w, nu and B_w per bin over frames at every start (paper, steps
-2-6).
+"""Stage 3, unfalsified bounds: B1, B2, gamma_w, nu and B_w in each bin over all frames (paper, steps 2-6).
 
-Drives are streamed: every pass reduces a drive to maxima per bin (``reduce_...``), and maxima are joined
-(``fold``). Neither memory nor the result depends on the number or the order of the drives. Bin 0 is DC.
-E, Z, B1, B2, gamma_w and B_w have the outputs' units.
+Every pass reads the drives one after the other. It reduces a drive to maxima in each bin (``reduce_...``) and
+joins the maxima of all drives (``fold``). Neither the memory nor the result depends on the number or the
+order of the drives. Bin 0 is DC. E, Z, B1, B2, gamma_w and B_w have the outputs' units.
 
-Rule of step 4 (T8): a ceiling nu_bar(omega) on the uncertainty is known in advance, a setting or the band of
-the model error. The disturbance bound covers what the frames need beyond it,
+Rule of step 4 (T8): a ceiling nu_bar(omega) on the uncertainty is known in advance. It is a setting or comes
+from the band of the model error. The disturbance bound covers the remaining error of the frames,
 
     gamma_w(omega_k) = max over frames of sqrt(B1^2 + |Z|^2 max(0, |delta0| - nu_bar)^2),   gamma_w(0) = B2(0)
 
-smoothed upward by an overbounding weight. Then nu = min |delta| subject to |E - delta Z| <= gamma_w (step 5).
-W_delta lies above nu and above the model error model's bound (model_error.py). B_w is the remainder that no
-|delta| <= W_delta explains, frame by frame. A bin without a counted frame is NaN: "no information", never 0.
+and an overbounding weight smooths it upward. Then nu = min |delta| subject to |E - delta Z| <= gamma_w (step
+5). W_delta lies above nu and above the model error model's bound (model_error.py). B_w is the largest
+remainder of a frame that no |delta| <= W_delta explains. A bin without a counted frame is NaN, "no
+information", and never 0.
 """
 
 from collections.abc import Callable, Iterable, Iterator
@@ -30,14 +30,14 @@ from ..vehicle.nominal import NominalModel
 from .resolution import Resolution
 
 FRONT_POINTS = 25
-"""Values of gamma_w per bin on the Pareto front, from B1 to B2, denser towards B1: B1 + (B2 - B1) t^2, t
-uniform."""
+"""Number of values of gamma_w in each bin of the Pareto front, from B1 to B2. They are B1 + (B2 - B1) t^2
+with uniform t, so they are denser near B1."""
 
 
 FIRST_LARGEST = 8
-"""Number of largest sums that thin out pairs of sizes before the others are sorted."""
+"""Number of pairs with the largest sums that remove dominated pairs before the sort."""
 FRONT_BLOCK = 64
-"""Number of successive frames that the search for the front bounds together."""
+"""Number of successive frames in a block, which the search for the front bounds together."""
 
 
 @dataclass(frozen=True)
@@ -49,8 +49,8 @@ class FrameSet:
     bin : int
     E : ndarray (F, n_y) of complex, nominal error [output units]
     Z : ndarray (F, n_y) of complex, nominal output [output units]
-    starts : ndarray (F,) of int, first samples
-    experiment : str, name of the drive, for messages
+    starts : ndarray (F,) of int, first sample of each frame
+    experiment : str, name of the drive in messages
     """
 
     bin: int
@@ -69,7 +69,7 @@ class FrameSet:
     ) -> None:
         """Raise InputError unless all frames are ``good`` (F,).
 
-        It names the experiment, the bin and the first bad frame's first sample.
+        The error names the experiment, the bin and the first sample of the first bad frame.
         """
         if not np.all(good):
             first = int(np.argmin(good))
@@ -92,7 +92,7 @@ def nominal_error(drive: Drive, model: NominalModel) -> tuple[np.ndarray, np.nda
 
     Returns
     -------
-    tuple of e and yhat, ndarray (N, n_y) [output units]
+    tuple of ndarray (N, n_y), e and yhat [output units]
 
     References
     ----------
@@ -110,10 +110,9 @@ def counted_frames(
     estimator: Estimator,
     stretches: list[np.ndarray] | None = None,
 ) -> Iterator[FrameSet]:
-    """Compute the counted frames of a drive, one set per bin.
+    """Compute the counted frames of a drive, one set for each bin.
 
-    Frames start at every sample that counts, in rising order. The plain DFT has one frame: the first that
-    counts.
+    A frame starts at every counted start, in rising order. The plain DFT has only the first counted frame.
 
     Parameters
     ----------
@@ -121,7 +120,7 @@ def counted_frames(
     e, yhat : ndarray (N, n_y), output units, e = y - yhat
     model : NominalModel
     estimator : Estimator
-    stretches : list of ndarray (R, 2), optional, runs of the counted starts by bin, where known
+    stretches : list of ndarray (R, 2), optional, known runs of the counted starts, by bin
 
     Yields
     ------
@@ -150,10 +149,10 @@ def counted_frames(
 class Bounds:
     """Bounds per bin (K,), nu (K, n_delta), B_w and B_w_floor (K, n_y).
 
-    ``frames`` is the number of counted frames, ``excitation`` is max |Z|. B_w is the remainder that no
+    ``frames`` is the number of counted frames. ``excitation`` is max |Z|. B_w bounds the remainder that no
     |delta| <= W_delta explains (``remainder``). It is at least B_w_floor, the limit of the sensors'
-    ``resolution``. The front (K, FRONT_POINTS) is the least nu that explains every frame, over gamma_w. Its
-    points are ``front_gamma_w`` and ``front_nu``, with NaN at DC and without frames.
+    ``resolution``. The front (K, FRONT_POINTS) gives the least nu that explains every frame as a function of
+    gamma_w. Its points are ``front_gamma_w`` and ``front_nu``. They are NaN at DC and in bins without frames.
     """
 
     omega: np.ndarray
@@ -172,8 +171,8 @@ class Bounds:
 
 
 Part = dict[str, np.ndarray]
-"""Result of one or more drives: ``frames`` is a sum of whole numbers, all others are maxima (NaN: no
-frame)."""
+"""Result of one or more drives. ``frames`` is a sum of whole numbers, all other fields are maxima (NaN
+without a frame)."""
 
 
 def fold(parts: Iterable[Part]) -> Part:
@@ -189,9 +188,11 @@ def fold(parts: Iterable[Part]) -> Part:
 
 
 class Deciders:
-    """Frames that decide a bound ``key`` (K, m), in memory independent of the number of drives.
+    """Frames that decide a bound ``key`` (K, m).
 
-    They hold the drive, the frame's first sample, and the bound without that frame and those that overlap it.
+    For each entry of the bound this holds the drive and the first sample of the deciding frame. It also holds
+    the bound without this frame and those that overlap it. The memory does not depend on the number of
+    drives.
     """
 
     def __init__(self, key: str, shape: tuple[int, int]):
@@ -200,7 +201,8 @@ class Deciders:
         self.first, self.drive = np.zeros(shape, int), np.full(shape, "", dtype=object)
 
     def watched(self, names: Iterable[str], parts: Iterable[Part]) -> Iterator[Part]:
-        """The parts, one a drive, without the data for this class."""
+        """Record the deciding frames of ``parts``, one for each drive of ``names``, and yield the parts
+        without their data."""
         for name, part in zip(names, parts, strict=False):
             value, first, rest = (part.pop(f"{self.key}{suffix}") for suffix in ("", FIRST, REST))
             beaten = ~(value <= self.largest) & ~np.isnan(value)
@@ -212,20 +214,20 @@ class Deciders:
 
     @property
     def without(self) -> np.ndarray:
-        """Bound without the frame (K, m): of the rest of its drive, and of the other drives; 0 without
-        any."""
+        """Bound (K, m) without the deciding frame, from its own drive and all other drives; 0 without other
+        frames."""
         return np.nan_to_num(np.fmax(self.rest, self.others))
 
 
 FIRST, REST = "_first", "_rest"
-"""Fields of a part for Deciders, in addition to a bound's value."""
+"""Suffixes of the fields of a part that only Deciders reads."""
 
 
 def _decided(key: str, values: np.ndarray, s: FrameSet, estimator: Estimator, out: Part) -> None:
-    """Store the largest of ``values`` (F, m) >= 0 of the frames ``s`` in the part, with the data for
+    """Store the largest of ``values`` (F, m) >= 0 of the frames ``s`` in the part ``out``, with the data for
     Deciders.
 
-    The starts of the frames rise.
+    The starts of the frames must rise.
     """
     if not len(values):
         return
@@ -249,7 +251,7 @@ def _undecided(key: str, shape: tuple[int, int]) -> Part:
 
 
 def _maximum(values: np.ndarray) -> np.ndarray | float:
-    """Largest over the first axis, column by column: sixty times as fast as numpy for a few columns."""
+    """Maxima over the first axis. The loop over a few columns is sixty times as fast as numpy's maximum."""
     if not len(values):
         return np.nan
     return values.max() if values.ndim == 1 else np.array([column.max() for column in values.T])
@@ -258,11 +260,11 @@ def _maximum(values: np.ndarray) -> np.ndarray | float:
 def reduce_disturbance(
     sets: Iterable[FrameSet], estimator: Estimator, nu_ceiling: np.ndarray, n_y: int, controlled: int = 0
 ) -> Part:
-    """Reduce a drive's frames to the maxima of steps 2-4, before smoothing.
+    """Reduce the frames of a drive to the maxima of steps 2-4, before smoothing.
 
-    ``E`` (K, n_y) is the largest |E_j|. For zero-input drives it bounds the sensors' noise (W_n), for others
-    the disturbance of class S0. ``Y`` (K,) is the largest |E + Z| of the controlled output: it bounds
-    the commands in such drives (W_C; paper, section V).
+    ``E`` (K, n_y) is the largest |E_j|. In drives without input it bounds the noise of the sensors (W_n). In
+    other drives it bounds the disturbance of class S0. ``Y`` (K,) is the largest |E + Z| of the controlled
+    output. It bounds the commands in the drives (W_C; paper, section V).
 
     Parameters
     ----------
@@ -310,17 +312,17 @@ def explain(
     ----------
     s : FrameSet
     estimator : Estimator
-    gamma_w : ndarray (K,), bound on |w|; in class S1_diagonal on each |w_j| [output units]
+    gamma_w : ndarray (K,), bound on |w|, or on each |w_j| in class S1_diagonal [output units]
     structure : str, class of the uncertainty
 
     Returns
     -------
-    tuple of |delta|, ndarray (F,) or in class S1_diagonal (F, n_y), and w, ndarray (F, n_y) of complex
+    tuple of two ndarrays: |delta| (F,), or (F, n_y) in class S1_diagonal, and complex w (F, n_y)
 
     Raises
     ------
     InputError
-        If a frame is not finite, or nothing in the class explains it under gamma_w.
+        If a frame is not finite, or no uncertainty of the class explains it within gamma_w.
 
     References
     ----------
@@ -353,14 +355,15 @@ def _needed_each(s: FrameSet, estimator: Estimator, gamma_w: np.ndarray) -> tupl
     s.require(
         np.isfinite(reduce(np.maximum, nu.T)),
         estimator,
-        lambda i: f"|E| = {size[i].max():.6g} beside Z = 0, or not finite",
+        lambda i: f"|E| = {size[i].max():.6g} where Z = 0, or not finite",
         "finite spectra and |E_j| <= gamma_w where Z_j = 0",
     )
     return nu, excess
 
 
 def front_grid(B1: np.ndarray, B2: np.ndarray, estimator: Estimator, structure: str) -> np.ndarray:
-    """gamma_w (K, FRONT_POINTS) of the Pareto front; NaN at DC, in class S0 and without frames."""
+    """Values gamma_w (K, FRONT_POINTS) of the Pareto front, NaN at DC, in class S0 and in bins without
+    frames."""
     t = np.linspace(0.0, 1.0, FRONT_POINTS) ** 2
     grid = B1[:, None] + (B2 - B1)[:, None] * t
     grid[:, -1] = B2
@@ -368,13 +371,12 @@ def front_grid(B1: np.ndarray, B2: np.ndarray, estimator: Estimator, structure: 
 
 
 def front(E: np.ndarray, Z: np.ndarray, gamma_w: np.ndarray) -> np.ndarray:
-    """Exact max over frames of nu(gamma_w) at each gamma_w (P,), all >= max B1 of the frames E, Z (F, n_y).
+    """Exact max over the frames E, Z (F, n_y) of nu(gamma_w) at each gamma_w (P,). NaN stays NaN.
 
-    NaN stays NaN. nu = |delta0| - sqrt(gamma_w^2 - B1^2) / |Z| with its rounding error selects the frames
-    that can
-    be the largest. Only those are solved without cancellation. Successive frames are alike: the largest
-    |delta0|,
-    B1 and |Z| of FRONT_BLOCK frames bound their nu, and most blocks stay below a first frame's.
+    Every gamma_w must be at least the largest B1. The approximation nu = |delta0| - sqrt(gamma_w^2 - B1^2) /
+    |Z| with its rounding error selects the frames that can have the largest nu. Only these frames are solved
+    without cancellation. Successive frames are similar. The largest |delta0|, B1 and |Z| of FRONT_BLOCK
+    frames therefore bound the nu of a block. The first frames of all blocks exclude most blocks.
     """
     out, valid = np.full(len(gamma_w), np.nan), np.flatnonzero(~np.isnan(gamma_w))
     if not len(E) or not len(valid):
@@ -388,7 +390,7 @@ def front(E: np.ndarray, Z: np.ndarray, gamma_w: np.ndarray) -> np.ndarray:
         room = np.sqrt(np.maximum(gamma[:, None] ** 2 - b1**2, 0.0))
         high = centre - room / z + _slack(centre, least_z, gamma[:, None])
     open_blocks = (size > gamma[:, None]) & (z > 0) & (high >= low.max(axis=1, keepdims=True))
-    # The open blocks of the gamma_w handled at once hold about as many frames as there are.
+    # Handle several gamma_w together, so that their open blocks hold about as many frames as E.
     turns = np.cumsum(open_blocks.sum(axis=1)) // len(firsts)
     for turn in np.unique(turns):
         some = np.flatnonzero(turns == turn)
@@ -404,7 +406,8 @@ def _front_within(
     open_blocks: np.ndarray,
     firsts: np.ndarray,
 ) -> np.ndarray:
-    """Front (P,) at ``gamma_w`` (P,) by the frames of its open blocks (P, blocks); 0 without any."""
+    """Front (P,) at ``gamma_w`` (P,) from the frames of the open blocks (P, blocks), 0 without open
+    blocks."""
     point, block = np.nonzero(open_blocks)
     inside = (firsts[block, None] + np.arange(FRONT_BLOCK)).ravel()
     point = np.repeat(point, FRONT_BLOCK)[inside < len(E)]
@@ -421,12 +424,12 @@ def _front_within(
 
 
 def _slack(centre: np.ndarray, z: np.ndarray, gamma: np.ndarray) -> np.ndarray:
-    """Error bound of |delta0| - sqrt(gamma_w^2 - B1^2) / |Z|: the root loses half the digits near B1."""
+    """Error bound of |delta0| - sqrt(gamma_w^2 - B1^2) / |Z|, whose root loses half the digits near B1."""
     return 1e-6 * (centre + gamma / z)
 
 
 def _about(least: s1.LeastSquares, gamma: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Bounds of nu of frames (F,), where it is not 0, broadcast with gamma; -inf where it is."""
+    """Lower and upper bounds of nu of frames (F,), broadcast with gamma. They are -inf where nu is 0."""
     with np.errstate(divide="ignore", invalid="ignore"):
         about = least.delta - np.sqrt(np.maximum(gamma**2 - least.b1**2, 0.0)) / least.z
         slack = _slack(least.delta, least.z, gamma)
@@ -442,7 +445,10 @@ def reduce_uncertainty(
     n_y: int,
     structure: str,
 ) -> Part:
-    """Step 5 under ``gamma_w`` (K,): nu (K, n_delta), and the front over ``grid`` (K, FRONT_POINTS)."""
+    """Reduce the frames of a drive to nu (K, n_delta) of step 5 at ``gamma_w`` (K,), and to its front.
+
+    The front has the values of gamma_w in ``grid`` (K, FRONT_POINTS).
+    """
     out = _undecided("nu", (estimator.n_bins, n_y if structure == "S1_diagonal" else 1))
     out["front"] = np.full(grid.shape, np.nan)
     for s in sets:
@@ -456,9 +462,9 @@ def reduce_uncertainty(
 
 
 def remainder(s: FrameSet, estimator: Estimator, W_delta: np.ndarray, structure: str) -> np.ndarray:
-    """Compute the w of least norm that no |delta| <= W_delta explains: delta_0 is shortened to W_delta.
+    """Compute the least disturbance w of each frame with |delta| <= W_delta.
 
-    At DC and in class S0 delta is 0.
+    The optimal delta is delta0, shortened to the length W_delta. At DC and in class S0 delta is 0.
 
     Parameters
     ----------
@@ -503,9 +509,10 @@ def reduce_remainder(
     structure: str,
     joint: bool = False,
 ) -> tuple[Part, list[np.ndarray]]:
-    """Step 6: largest |w_j| (K, n_y) that no |delta| <= W_delta (K, n_delta) explains.
+    """Reduce the frames of a drive to the largest |w_j| (K, n_y) of their `remainder` for W_delta (K,
+    n_delta), step 6.
 
-    With ``joint`` the result has the `undominated` ones of every bin, for `covering`.
+    With ``joint`` the second result holds the `undominated` rows of |w_j| of every bin, for `covering`.
     """
     out, fronts = _undecided("B_w", (estimator.n_bins, n_y)), [np.zeros((0, n_y))] * estimator.n_bins
     for s in sets:
@@ -517,9 +524,10 @@ def reduce_remainder(
 
 
 def undominated(sizes: np.ndarray) -> np.ndarray:
-    """Rows of ``sizes`` (F, m) >= 0 that no other row reaches in every column, each once.
+    """Rows of ``sizes`` (F, m) >= 0 that no other row dominates, each once.
 
-    They contain the largest of any sum that rises with every column.
+    A row dominates another one if it is at least as large in every column. The largest value of any function
+    that rises with every column is attained at one of the rows.
     """
     rows = [np.zeros((0, sizes.shape[1]))]
     share = 1 / np.maximum(_maximum(sizes), np.finfo(float).tiny)
@@ -527,7 +535,7 @@ def undominated(sizes: np.ndarray) -> np.ndarray:
         largest = sizes[(sizes @ share).argmax()]
         rows.append(largest[None])
         sizes = sizes[reduce(np.logical_or, (sizes > largest).T)]
-    if len(sizes):  # two columns: by the first one falling, each new maximum of the second
+    if len(sizes):  # two columns: sort by the first, falling, and keep each new maximum of the second
         sizes = sizes[np.lexsort(-sizes.T[::-1])]
         before = np.maximum.accumulate(np.append(-1.0, sizes[:-1, 1]))
         rows.append(sizes[sizes[:, 1] > before])
@@ -535,9 +543,9 @@ def undominated(sizes: np.ndarray) -> np.ndarray:
 
 
 def covering(fronts: list[np.ndarray], B_w: np.ndarray) -> np.ndarray:
-    """Largest sqrt(sum_j |w_j / B_w,j|^2) (K,), the factor with which B_w (K, n_y) covers every w jointly.
+    """Factor (K,) with which B_w (K, n_y) covers every w jointly, the largest sqrt(sum_j |w_j / B_w,j|^2).
 
-    It uses the `undominated` |w_j| of every bin. NaN: no frame.
+    ``fronts`` holds the `undominated` rows of |w_j| of every bin. The factor is NaN in a bin without a frame.
     """
     scale = np.full(len(fronts), np.nan)
     for k, (w, bound) in enumerate(zip(fronts, B_w, strict=True)):

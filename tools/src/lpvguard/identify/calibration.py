@@ -1,7 +1,8 @@
-"""Stage 5: calibrate the tests by split conformal prediction, one by one or together (`joint_scores`).
+"""Stage 5: calibrate the tests by split conformal prediction, separately or together (`joint_scores`).
 
-THEORY 7.3 has the thresholds (T23), their claims (T24) and those of groups. Scores are read from the compiled
-core. It carries one threshold: the largest of all, with which every claim holds, or that of a named group.
+THEORY 7.3 defines the thresholds (T23), their claims (T24) and the thresholds of groups. The compiled core
+computes the scores. The core contains one threshold. This is the largest of all thresholds, with which every
+claim holds, or the threshold of one named group.
 """
 
 from __future__ import annotations
@@ -20,25 +21,26 @@ from ..core.compiled import Run
 from ..drives.tables import EXPERIMENTS, Experiment
 
 ROUNDING = 1e-3
-"""Relative margin of an exported threshold for rounding: float, double and fused multiply-add differ by less
-(tests/golden/test_one_verdict.py)."""
+"""Relative margin of an exported threshold. The rounding of float, double and fused multiply-add differs by
+less (tests/golden/test_one_verdict.py)."""
 FEWEST_FOR_ALPHA = 9
-"""Fewest recordings for which an alpha is stated (THEORY 7.3)."""
+"""Least number of recordings for a stated alpha (THEORY 7.3)."""
 RATED = ("frame", "pools", "energy", "change")
-"""Tests that share a rate of alarms equally."""
+"""Tests that share a target rate of alarms equally."""
 BLOCK_S = 30.0
-"""Length [s] of the blocks of a drive whose maxima a tail is fitted to (THEORY 7.20)."""
+"""Length of a block of a drive [s]. The maxima of the blocks determine the tail of the scores (THEORY
+7.20)."""
 
 
 @dataclass(frozen=True)
 class Recordings:
-    """Drives as pieces of recordings, whose scores are not independent draws.
+    """Assignment of drives to recordings. Scores of drives from one recording are not independent.
 
     Attributes
     ----------
-    by_drive : dict[str, str], recording by drive, where experiments.csv names it
-    setting : tuple of str, recordings of calibration drives that also set the bounds
-    groups : dict[str, str], group by drive, where it has one
+    by_drive : dict[str, str], recording of each drive for which experiments.csv names one
+    setting : tuple of str, recordings that have both calibration drives and bound-setting drives
+    groups : dict[str, str], group of each drive that has one
     """
 
     by_drive: dict[str, str] = field(default_factory=dict)
@@ -49,7 +51,7 @@ class Recordings:
     def listed(cls, setting: Iterable[Experiment], others: Iterable[Experiment]) -> Recordings:
         """Recordings of the bound-setting drives and the ``others``, from experiments.csv.
 
-        Raises InputError where pieces of one recording are of several groups, or only some others have a
+        Raises InputError where drives of one recording belong to several groups, or only some others have a
         group.
         """
         setting, others = list(setting), list(others)
@@ -62,8 +64,8 @@ class Recordings:
                 raise InputError(
                     e.path.parent / EXPERIMENTS,
                     "column group",
-                    f"{other.name} ({other.group or 'none'}) and {e.name} ({e.group or 'none'}) are pieces "
-                    f"of recording {e.recording}",
+                    f"{other.name} ({other.group or 'none'}) and {e.name} ({e.group or 'none'}) belong "
+                    f"to one recording, {e.recording}",
                     "one group for each recording",
                 )
         if len({e.group is None for e in others}) > 1:
@@ -71,25 +73,25 @@ class Recordings:
             raise InputError(
                 without.path.parent / EXPERIMENTS,
                 "column group",
-                f"{without.name} has none, others have one",
-                "a group for every drive that calibrates or is judged, or for none",
+                f"{without.name} has no group, but other drives have one",
+                "a group for every drive that calibrates or is judged, or for no drive",
             )
         return cls(by_drive, tuple(sorted(both)), {e.name: e.group for e in others if e.group is not None})
 
     def named(self, drive: str) -> str:
-        """Recording of the piece ``drive``."""
+        """Recording of a drive."""
         return self.by_drive.get(drive, drive)
 
     def others(self, drives: Iterable[str], without: str | None) -> list[str]:
-        """The ``drives`` outside the recording of drive ``without``; None: all."""
+        """The ``drives`` that do not belong to the recording of drive ``without``, or all drives for None."""
         return [d for d in drives if without is None or self.named(d) != self.named(without)]
 
     def in_group(self, scores: Mapping[str, float], group: str) -> dict[str, float]:
-        """The ``scores`` of the drives of a group."""
+        """Those of ``scores`` whose drives belong to a group."""
         return {d: s for d, s in scores.items() if self.groups.get(d) == group}
 
     def largest(self, scores: Mapping[str, float]) -> dict[str, float]:
-        """Score of every recording that did not set the bounds, from the ``scores`` of its drives."""
+        """Largest of the ``scores`` of each recording that did not set the bounds."""
         by_recording: dict[str, float] = {}
         for drive, value in scores.items():
             if (recording := self.named(drive)) not in self.setting:
@@ -103,17 +105,17 @@ NO_RECORDINGS = Recordings()
 
 @dataclass(frozen=True)
 class Extrapolation:
-    """Threshold of a rate that the data are too short for, from the tail of their maxima (THEORY 7.20).
+    """Threshold from the tail of the scores, for a rate that the data are too short to measure (THEORY 7.20).
 
     Attributes
     ----------
-    per_1000_h : float, the rate, per 1000 h judged
-    hours : float, h judged of the recordings
-    peaks : int, maxima that the tail is fitted to
-    level, scale, shape : float, of the generalised Pareto tail
-    threshold : float, before the floor of the test
-    interval : tuple of float, of 95 %, of the rate at the threshold, per 1000 h judged
-    more_h : float, further hours with which the rate needs no extrapolation
+    per_1000_h : float, target rate of alarms in 1000 judged hours
+    hours : float, h, judged time of the recordings
+    peaks : int, number of maxima above the level
+    level, scale, shape : float, parameters of the generalised Pareto tail
+    threshold : float, threshold before the floor of the test applies
+    interval : tuple of float, 95 % interval of the rate at the threshold, in 1000 judged hours
+    more_h : float, h, further judged time with which no extrapolation is needed
     """
 
     per_1000_h: float
@@ -127,25 +129,26 @@ class Extrapolation:
     more_h: float
 
     def words(self) -> str:
-        """The rate, what it rests on, and what would make it exact."""
+        """Sentence with the rate, its data, and the time that would make it exact."""
         low, high = map(number_words, self.interval)
         return (
-            f"{self.per_1000_h:g} per 1000 h judged, extrapolated from {self.hours:.3g} hours ({self.peaks} "
-            f"peaks, shape {self.shape:.2g}; 95 % interval {low} to {high} per 1000 h); "
-            f"{number_words(self.more_h)} more hours judged make it exact"
+            f"{self.per_1000_h:g} alarms per 1000 judged hours, extrapolated from {self.hours:.3g} hours "
+            f"({self.peaks} peaks, shape {self.shape:.2g}; 95 % interval {low} to {high} per 1000 h); "
+            f"{number_words(self.more_h)} more judged hours would make it exact"
         )
 
 
 @dataclass(frozen=True)
 class RateTarget:
-    """Rate of alarms that a test may have, in place of alpha.
+    """Target rate of alarms of a test, in place of alpha.
 
     Attributes
     ----------
-    per_1000_h : float, per 1000 h judged
-    confident : bool, the threshold is the upper end of its interval, with 95 % confidence
+    per_1000_h : float, alarms in 1000 judged hours
+    confident : bool, whether the rate holds with 95 % confidence
+        The threshold then is the upper end of its interval.
     maxima : Mapping, maxima of the score in blocks of BLOCK_S, by drive
-    judged_s : Mapping, s in counted frames, by drive
+    judged_s : Mapping, s, time in counted frames, by drive
     """
 
     per_1000_h: float
@@ -155,13 +158,14 @@ class RateTarget:
 
     @classmethod
     def joint(cls, targets: Sequence[RateTarget]) -> RateTarget:
-        """Target of the largest score of all tests, with the sum of their rates."""
+        """Target for the largest score of all tests, with the sum of the rates of the tests."""
         drives = set.intersection(*(set(t.maxima) for t in targets))
         maxima = {d: np.max([t.maxima[d] for t in targets], axis=0).tolist() for d in sorted(drives)}
         return replace(targets[0], per_1000_h=sum(t.per_1000_h for t in targets), maxima=maxima)
 
     def threshold(self, scores: Mapping[str, float], floor: float, recordings: Recordings) -> GroupThreshold:
-        """Conformal threshold of the rate where recordings suffice, else that of their tail, if any."""
+        """Threshold of the rate: conformal where the recordings suffice, otherwise from the tail of their
+        scores."""
         largest, rate = recordings.largest(scores), self.per_1000_h / 1000
         drives_of = {r: [d for d in scores if recordings.named(d) == r] for r in largest}
         hours = {r: sum(self.judged_s[d] for d in drives) / 3600 for r, drives in drives_of.items()}
@@ -185,7 +189,7 @@ class RateTarget:
 
 @dataclass(frozen=True)
 class GroupThreshold:
-    """Threshold of a group from its ``recordings``; None where they are too few for alpha."""
+    """Threshold of a group. It is None where the number of ``recordings`` is too small for alpha."""
 
     recordings: int
     threshold: float | None = None
@@ -194,22 +198,22 @@ class GroupThreshold:
     extrapolation: Extrapolation | None = None
 
     def to_dict(self) -> dict:
-        """JSON-able, for `from_dict`."""
+        """Convert to JSON types, for `from_dict`."""
         return _with_extrapolation({k: v for k, v in vars(self).items() if k != "extrapolation"}, self)
 
     @classmethod
     def from_dict(cls, data: dict) -> GroupThreshold:
-        """Read back."""
+        """Threshold from the result of `to_dict`."""
         return cls(**(data | _extrapolation_of(data)))
 
     def words(self, group: str) -> str:
-        """Claim on a further recording of the ``group``."""
+        """Claim for a further recording of the ``group``, in words."""
         if self.extrapolation is not None:
             return f"group {group}: threshold {self.threshold:.4g}, {self.extrapolation.words()}"
         if self.alpha is None:
             return (
-                f"group {group}: {self.recordings} recordings are too few for its own threshold; it has "
-                "the pooled one without alpha"
+                f"group {group}: {self.recordings} recordings are too few for a separate threshold; "
+                "the group has the pooled threshold without alpha"
             )
         return (
             f"group {group}: threshold {self.threshold:.4g}, alpha {self.alpha:g} from {self.recordings} "
@@ -223,17 +227,17 @@ class Calibration:
 
     Attributes
     ----------
-    threshold : float, pooled; the largest score where no claim can be made
+    threshold : float, pooled threshold, or the largest score where no claim is possible
     scores : dict[str, float], by drive
-    alpha : float or None, probability of an alarm on a further recording, None without a claim
+    alpha : float or None, bound of the probability of an alarm on a further recording, None without a claim
     conditional_bound : float or None
-        Bound on that probability with 95 % confidence over calibration recordings.
+        Bound on this probability for the given calibration recordings, with 95 % confidence.
     recordings : Recordings
-    groups : dict[str, GroupThreshold], by group of experiments.csv
-    group : str or None, group of this threshold (``of_group``), None: pooled
-    judged_s : dict[str, float], s in counted frames by drive; empty without a claim an hour
-    target : RateTarget or None, in place of alpha
-    extrapolation : Extrapolation or None, of the pooled threshold
+    groups : dict[str, GroupThreshold], threshold of each group of experiments.csv
+    group : str or None, group of this threshold (``of_group``), None for the pooled one
+    judged_s : dict[str, float], s, time in counted frames by drive, empty without a claim per hour
+    target : RateTarget or None, target rate in place of alpha
+    extrapolation : Extrapolation or None, extrapolation of the pooled threshold
     """
 
     threshold: float
@@ -248,24 +252,25 @@ class Calibration:
     extrapolation: Extrapolation | None = None
 
     def over(self, judged_s: Mapping[str, float]) -> Calibration:
-        """The calibration with the judged time of every drive [s], for claims an hour."""
+        """The calibration with the judged time of every drive [s], for claims per hour."""
         return replace(self, judged_s={d: judged_s[d] for d in self.scores})
 
     @property
     def carried(self) -> float:
-        """Threshold in the core: the largest of the pooled one and the groups', or that of ``group``."""
+        """Threshold in the core: that of ``group``, or the largest of the pooled one and those of all
+        groups."""
         own = [] if self.group else [g.threshold for g in self.groups.values() if g.threshold is not None]
         return max([self.threshold, *own])
 
     @property
     def exported(self) -> float:
-        """Carried threshold with the margin for rounding, as the core compares with it."""
+        """Threshold with the margin for rounding, as exported to the core."""
         return self.carried * (1 + ROUNDING)
 
     def of_group(self, group: str | None) -> Calibration:
-        """The calibration for drives of a group: its own threshold, or the pooled one without alpha.
+        """Calibration for drives of a group, with its threshold, or with the pooled one without alpha.
 
-        Drives of no group have the carried one.
+        For drives without a group (None) the threshold is that of the core.
         """
         if group is None:
             return replace(self, threshold=self.carried)
@@ -285,11 +290,11 @@ class Calibration:
 
     @property
     def decided_by(self) -> str | None:
-        """Drive whose score is the carried threshold; None if it is the floor."""
+        """Drive whose score equals the threshold of the core, or None if the floor decides."""
         return next((d for d, s in self.scores.items() if s == self.carried), None)
 
     def to_dict(self) -> dict:
-        """JSON-able, for `from_dict`; ``recordings`` and ``groups`` only if experiments.csv names any."""
+        """Convert to JSON types. ``recordings`` and ``groups`` exist only if experiments.csv names any."""
         named = self.recordings
         out: dict = {k: getattr(self, k) for k in ("threshold", "scores", "alpha", "conditional_bound")}
         if named.by_drive:
@@ -324,7 +329,7 @@ class Calibration:
         return f"{count} recordings" if self.recordings.by_drive else f"{count} drives"
 
     def claim(self) -> str:
-        """Claim on the threshold's false alarms, in words."""
+        """Claim about the false alarms at this threshold, in words."""
         if not self.groups:
             return self._pooled_claim()
         claims = "; ".join(
@@ -333,7 +338,7 @@ class Calibration:
         )
         if self.group is not None:
             return claims
-        return f"pooled: {self._pooled_claim()}; {claims}; the core carries the largest, {self.carried:.4g}"
+        return f"pooled: {self._pooled_claim()}; {claims}; the core has the largest, {self.carried:.4g}"
 
     def _pooled_claim(self) -> str:
         if self.extrapolation is not None:
@@ -347,35 +352,37 @@ class Calibration:
             return f"alpha is not stated: too few calibration drives ({len(self.scores)})"
         beside = sum(self.recordings.named(d) in self.recordings.setting for d in self.scores)
         return (
-            f"alpha is not stated: {len(self.scores)} drives calibrate, of {self.units()} that did not "
-            "set the bounds; pieces of one recording are no draws of their own"
-            + (f", and {beside} are of recordings that set the bounds" if beside else "")
+            f"alpha is not stated: {len(self.scores)} drives calibrate, from {self.units()} that did not "
+            "set the bounds; drives of one recording are not independent"
+            + (f", and {beside} drives belong to recordings that set the bounds" if beside else "")
         )
 
     @property
     def hourly(self) -> str:
-        """Pooled claim an hour judged, as a continuation of it; empty without one."""
+        """Text that extends the pooled claim by its rate per judged hour, empty without a claim."""
         return self._hourly(self.scores, self)
 
     def _hourly(self, scores: Mapping[str, float], threshold: GroupThreshold | Calibration) -> str:
-        """Claim of recordings with these ``scores`` an hour judged, for a further one judged for their
-        mean time."""
+        """Rate per judged hour of recordings with these ``scores``, as text.
+
+        It holds for a further recording with their mean judged time.
+        """
         counted = self.recordings.largest(scores)
         drives = [d for d in scores if self.recordings.named(d) in counted]
         hours = sum(self.judged_s.get(d, 0.0) for d in drives) / 3600
         if threshold.alpha is None or threshold.conditional_bound is None or not hours:
             return ""
         rate, bound = (x * len(counted) / hours for x in (threshold.alpha, threshold.conditional_bound))
-        return f"; {rate:.3g} and {bound:.3g} an hour judged, of {hours:.3g} h"
+        return f"; {rate:.3g} and {bound:.3g} per judged hour, from {hours:.3g} h"
 
 
 @dataclass(frozen=True)
 class Peak:
-    """Origin of a drive's score: ``t_s`` after its first sample, and ``place``: the bin, or the energy test's
-    band.
+    """Time and place of the largest score of a drive.
 
-    ``place`` is None if unknown. ``without`` is the drive's score without that frame and those of its bin
-    that overlap it; None for tests without frames.
+    ``t_s`` is the time after the first sample. ``place`` is the bin, or the band of the energy test, or None
+    if unknown. ``without`` is the score of the drive without this frame and those of its bin that overlap it.
+    It is None for tests without frames.
     """
 
     t_s: float
@@ -384,14 +391,14 @@ class Peak:
 
 
 def _with_extrapolation(out: dict, threshold: GroupThreshold | Calibration) -> dict:
-    """``out`` with the extrapolation, if any."""
+    """Add the extrapolation, if any, to ``out``."""
     if threshold.extrapolation is not None:
         out["extrapolation"] = vars(threshold.extrapolation)
     return out
 
 
 def _extrapolation_of(data: dict) -> dict:
-    """Field of the extrapolation in ``data``, if any."""
+    """Field of the extrapolation from ``data``, empty without one."""
     extrapolation = data.get("extrapolation")
     if extrapolation is None:
         return {}
@@ -399,14 +406,14 @@ def _extrapolation_of(data: dict) -> dict:
 
 
 def block_of(t_s: np.ndarray | float) -> np.ndarray:
-    """Blocks (n,) of BLOCK_S in which times (n,) [s] after a drive's first sample lie."""
+    """Numbers (n,) of the blocks of BLOCK_S that contain times (n,) [s] after the first sample of a drive."""
     return (np.asarray(t_s) // BLOCK_S).astype(int)
 
 
 def block_maxima(run: Run, t0: float, Ts: float) -> dict[str, list[float]]:
-    """Maxima of the frame, energy and change test's score in blocks of a drive; 0 where nothing is judged.
+    """Maxima of the scores of the frame, energy and change test in each block of a drive.
 
-    ``t0`` is the time of its first sample [s].
+    They are 0 where a test judges nothing. ``t0`` is the time of the first sample [s].
     """
     blocks, counted = int(block_of(len(run.energy) * Ts)) + 1, run.frames.counted
     series = {
@@ -423,9 +430,9 @@ def block_maxima(run: Run, t0: float, Ts: float) -> dict[str, list[float]]:
 
 
 def peaks(run: Run, t0: float, Ts: float, length: np.ndarray) -> dict[str, Peak]:
-    """Peaks of every test that judged the drive.
+    """Peak of every test that judged the drive.
 
-    ``t0`` is the time of its first sample [s], ``length`` (K,) samples of a frame.
+    ``t0`` is the time of the first sample [s]. ``length`` (K,) is the length of a frame in samples.
     """
     by_test, f = {}, run.frames
     statistic = np.where(f.counted, f.statistic, -np.inf)
@@ -450,7 +457,7 @@ def score(run: Run) -> float | None:
 
     Returns
     -------
-    float, or None if no frame counted
+    float, or None without a counted frame
     """
     counted = run.frames.counted
     return float(run.frames.statistic[counted].max()) if counted.any() else None
@@ -485,18 +492,18 @@ def change_score(run: Run) -> float | None:
 
 
 def joint_score(scores: Mapping[str, float | None], floors: Mapping[str, float]) -> float:
-    """Compute a drive's score in all tests together, the largest score above its test's floor.
+    """Compute the score of a drive in all tests together, the largest score above the floor of its test.
 
-    Every score is in units of the bound-setting drives. A margin and a ratio of the energy test are the least
-    inflation of the bounds that agrees with the data. A ratio of the change test is over the largest met. One
-    threshold T therefore serves for the largest. A test alarms above the larger of T and its floor, so a
-    score below the floor does not count. A monitor of all tests with T alarms on a further drive, by any,
-    with probability at most alpha. With a threshold per test that probability is at most alpha times their
-    number.
+    Every score is relative to the bound-setting drives. A margin or a ratio of the energy test is the least
+    factor on the bounds that agrees with the data. A ratio of the change test is relative to the largest
+    estimate of these drives. One threshold T can therefore serve all tests. A test alarms above the larger of
+    T and its floor, so a score below the floor does not count. With T, the probability that any test alarms
+    on a further drive is at most alpha. With a separate threshold for each test, this probability is at most
+    alpha times the number of tests.
 
     Parameters
     ----------
-    scores : Mapping, score by test, None if not judged
+    scores : Mapping, score by test, None for a test that judged nothing
     floors : Mapping, floor by test
 
     Returns
@@ -511,7 +518,7 @@ def joint_score(scores: Mapping[str, float | None], floors: Mapping[str, float])
 
 
 def joint_scores(tests: Mapping[str, Mapping[str, float]], floors: Mapping[str, float]) -> dict[str, float]:
-    """Compute `joint_score` of every drive that any test judged.
+    """Compute `joint_score` of every drive that at least one test judged.
 
     Parameters
     ----------
@@ -535,20 +542,20 @@ def calibrate(
     recordings: Recordings = NO_RECORDINGS,
     target: RateTarget | None = None,
 ) -> Calibration:
-    """Compute the threshold from the scores of the calibration drives, and that of every group.
+    """Compute the pooled threshold and that of every group from the scores of the calibration drives.
 
     Parameters
     ----------
-    scores : Mapping, by drive
+    scores : Mapping, score by drive
     alpha : float, probability of an alarm on a further recording
-    floor : float, least threshold, default 1.0: a margin of 1 falsifies nothing
+    floor : float, least threshold, default 1.0, because a margin of 1 falsifies nothing
     unstated_floor : float, optional, least threshold without alpha, by default ``floor``
     recordings : Recordings, default NO_RECORDINGS
-    target : RateTarget, optional, in place of alpha
+    target : RateTarget, optional, target rate in place of alpha
 
     Returns
     -------
-    Calibration, with the largest score as threshold if drives are too few
+    Calibration, whose threshold is the largest score if there are too few drives
 
     References
     ----------
@@ -577,7 +584,7 @@ def calibrate(
 
 
 def _conformal(largest: Mapping[str, float], alpha: float, floor: float) -> GroupThreshold:
-    """Threshold of recordings with these scores; None where they are too few for alpha."""
+    """Conformal threshold from the scores of recordings. It is None where they are too few for alpha."""
     n = len(largest)
     rank = math.ceil((n + 1) * (1 - alpha) - 1e-12)
     if n < FEWEST_FOR_ALPHA or rank > n:

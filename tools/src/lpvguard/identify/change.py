@@ -1,5 +1,5 @@
-"""Stage 5, the change test (T34; THEORY 7.7): whether gain, delay and bias are still those of the
-bound-setting drives. The prior adds PRIOR memories of the products met there."""
+"""Stage 5, the change test (T34; THEORY 7.7): do gain, delay and bias still match the bound-setting
+drives?"""
 
 from __future__ import annotations
 
@@ -19,35 +19,36 @@ from .calibration import Calibration, RateTarget, Recordings, calibrate
 
 BLOCK = int(CONSTANTS["NBLOCK"][0])
 FIRST_BLOCK_END = 2
-"""Last sample, counted from 0, of the core's first block, which is not a whole one."""
+"""Last sample, counted from 0, of the first block in the core, which is shorter than the others."""
 PRIOR = 0.2
-"""Weight of the prior, in memories of driving as in the bound-setting drives."""
+"""Weight of the prior: it counts as this number of memory lengths of the bound-setting drives."""
 SMALLEST = 1e-2
-"""Floor of a part's size over the rms of yhat_j: an error of 1 % does not count."""
+"""Least size of a part, relative to the rms of yhat_j. Smaller errors than 1 % do not count."""
 FLOOR, UNSTATED_FLOOR = 0.05, 1.1
-"""Least threshold, and least one without alpha, which stays above the largest of the bound-setting drives.
+"""Least threshold, and least threshold without alpha.
 
-The core drops a block for which it has no time (change.h), the definition here none. On the largest ratios of
-three vehicles' drives that made 6 % at most.
+The latter is above the largest ratio of the bound-setting drives. The core drops a block for which it has no
+time (change.h), but this module drops none. On the drives of three vehicles this changed the largest ratios
+by at most 6 %.
 """
 UPPER = ((0, 0, 0, 1, 1, 2), (0, 1, 2, 1, 2, 2))
-"""Rows and columns of the upper triangle of a symmetric matrix of three."""
+"""Rows and columns of the upper triangle of a 3 x 3 matrix."""
 
 
 def block_means(x: np.ndarray, ends: np.ndarray) -> np.ndarray:
-    """Means (M, m) of signals x (N, m) over the blocks whose last samples are ``ends`` (M,)."""
+    """Means (M, m) of the signals x (N, m) over the blocks that end at the samples ``ends`` (M,)."""
     return reduce(np.add, (x[ends + k] for k in range(1 - BLOCK, 1))) / BLOCK
 
 
 @dataclass(frozen=True)
 class Blocks:
-    """Settled blocks of a drive whose predecessor the core knows, as a stretch.
+    """Successive settled blocks of a drive. The core also knows the block before each of them.
 
     Attributes
     ----------
-    ends : ndarray (M,) of int, last sample of each
+    ends : ndarray (M,) of int, last sample of each block
     e : ndarray (M, n_y), means of e_j [output units]
-    phi : ndarray (M, n_y, 3), regressors [output units], the second per block
+    phi : ndarray (M, n_y, 3), regressors [output units], the second one per block
     """
 
     ends: np.ndarray
@@ -56,7 +57,7 @@ class Blocks:
 
     @classmethod
     def stretches(cls, e: np.ndarray, yhat: np.ndarray, usable: np.ndarray) -> Iterator[Blocks]:
-        """Stretches of blocks of ``usable`` (N,) samples; e, yhat (N, n_y)."""
+        """Yield the stretches of blocks whose samples are all ``usable`` (N,), with e and yhat (N, n_y)."""
         ends = np.arange(FIRST_BLOCK_END + BLOCK, len(e), BLOCK)
         at = ends[:, None] + np.arange(1 - BLOCK, 1)
         whole = usable[at].all(axis=1)
@@ -68,10 +69,10 @@ class Blocks:
 
 @dataclass(frozen=True)
 class Met:
-    """Estimates along drives over ``count`` blocks: largest |theta_i| (n_y, 3) [output units], sum of
-    squares.
+    """Summary of the estimates theta along drives, over ``count`` blocks.
 
-    The sum ``squares`` is (n_y, 3).
+    ``largest`` (n_y, 3) is the largest |theta_i| [output units]. ``squares`` (n_y, 3) is the sum of its
+    squares.
     """
 
     largest: np.ndarray
@@ -91,8 +92,8 @@ class ChangeTest:
     Attributes
     ----------
     Ts, memory_s : float, s
-    unit : ndarray (n_y, 2), rms of yhat_j and of its change over a block [output units]
-    moments : ndarray (n_y, 3, 3), mean products of the regressors over their rms
+    unit : ndarray (n_y, 2), rms of yhat_j and of its change from block to block [output units]
+    moments : ndarray (n_y, 3, 3), mean products of the regressors, divided by their rms
     largest : ndarray (n_y, 3), largest |theta_i| on the bound-setting drives [output units]
     size : ndarray (n_y, 3), |theta_i| at a ratio of 1 [output units]
     calibration : Calibration
@@ -108,8 +109,10 @@ class ChangeTest:
 
     @classmethod
     def design(cls, project: Project) -> ChangeTest:
-        """A test with its memory, before its sizes are known. InputError for a memory of less than two
-        blocks."""
+        """A test with its memory, before its sizes are known.
+
+        Raises InputError for a memory of less than two blocks.
+        """
         memory = project.change_test.memory_s or 0.25 / project.frames.f_min_hz
         shortest = 2 * BLOCK * project.Ts_s
         if project.change_test.memory_s is not None and memory < shortest:
@@ -131,13 +134,15 @@ class ChangeTest:
 
     @property
     def keep(self) -> float:
-        """Share of the sums after a block."""
+        """Factor of the sums from block to block."""
         return float(np.exp(-BLOCK * self.Ts / self.memory_s))
 
     @property
     def prior(self) -> np.ndarray:
-        """Prior of the sums of products (n_y, 3, 3). A thousandth of the identity keeps it positive
-        definite."""
+        """Prior of the sums of products (n_y, 3, 3): PRIOR memory lengths of the mean products.
+
+        A thousandth of the identity keeps it positive definite.
+        """
         met = 0.999 * self.moments + 0.001 * np.eye(3)
         return PRIOR / (1 - self.keep) * met
 
@@ -153,15 +158,17 @@ class ChangeTest:
         return np.linalg.solve(gram + self.prior, sums[..., len(UPPER[0]) :, None])[..., 0]
 
     def with_moments(self, sums: np.ndarray) -> ChangeTest:
-        """The test with sizes and prior from the ``products`` of all bound-setting drives; InputError without
-        blocks.
+        """The test with units and prior from the products of all bound-setting drives.
 
-        ``sums`` has shape (n_y, 3, 3).
+        ``sums`` (n_y, 3, 3) are the sums of `regressor_products`. Raises InputError without a block.
         """
         count = sums[0, 2, 2]
         if count == 0:
             raise InputError(
-                "change test", "", "no block of a drive that sets the bounds", "settled driving in range"
+                "change test",
+                "",
+                "the drives that set the bounds have no settled block",
+                "settled driving in range",
             )
         mean = sums / count
         rms = np.sqrt(np.maximum(np.diagonal(mean, axis1=1, axis2=2), np.finfo(np.float32).tiny ** 0.5))
@@ -170,8 +177,8 @@ class ChangeTest:
     def with_sizes(self, met: Met) -> ChangeTest:
         """The test with sizes from the estimates ``met`` on all bound-setting drives.
 
-        A part's rms is over all blocks, its largest is one block. Sizes by the rms therefore leave no part
-        half blind for one block (tools/DESIGN_LOG.md).
+        The rms of a part uses all blocks, its maximum only one. All sizes are therefore proportional to the
+        rms. One unusual block then makes no single part insensitive (tools/DESIGN_LOG.md).
         """
         rms = np.sqrt(met.squares / max(1, met.count))
         ratio = np.divide(met.largest, rms, out=np.ones_like(rms), where=rms > 0).max()
@@ -188,7 +195,7 @@ class ChangeTest:
         return replace(self, calibration=calibrated_change(scores, alpha, recordings, target))
 
     def coefficients(self) -> tuple[dict[str, int], dict[str, int], dict[str, np.ndarray]]:
-        """Sizes, words and numbers of coeff.h."""
+        """Sizes, whole numbers and real numbers of this test for coeff.h."""
         reals = {
             "change_block_s": BLOCK * self.Ts,
             "change_unit": 1 / self.unit,
@@ -201,7 +208,7 @@ class ChangeTest:
         return {}, words, {name: np.array(value) for name, value in reals.items()}
 
     def sizes_text(self, project: Project) -> str:
-        """Largest gain, delay and bias of the bound-setting drives, per output."""
+        """Text with the largest gain, delay and bias of the bound-setting drives for each output."""
         block_s = BLOCK * self.Ts
         return "; ".join(
             f"{signal.name} {largest[0] / unit[0]:.3g}, {largest[1] / unit[1] * block_s:.3g} s, "
@@ -210,7 +217,7 @@ class ChangeTest:
         )
 
     def to_dict(self) -> dict:
-        """JSON-able, for `restored`."""
+        """Convert to JSON types, for `restored`."""
         return {
             "memory_s": self.memory_s,
             "unit": self.unit,
@@ -221,17 +228,18 @@ class ChangeTest:
         }
 
     def restored(self, data: dict, where: str) -> ChangeTest:
-        """The test with stored sizes and calibration; InputError when ``data`` is of another memory."""
+        """The test with the stored sizes and calibration of ``data``. Raises InputError for another
+        memory."""
         if data["memory_s"] != self.memory_s:
             raise InputError(
-                where, "memory_s", f"{data['memory_s']:g}", f"{self.memory_s:g}, which project.json describes"
+                where, "memory_s", f"{data['memory_s']:g}", f"{self.memory_s:g}, the memory of project.json"
             )
         return replace(
             self,
             unit=np.array(data["unit"], float),
             moments=np.array(data["moments"], float),
             largest=np.array(data["largest"], float),
-            size=np.array(data.get("size", data["largest"]), float),  # before 2026-11-24 it was the largest
+            size=np.array(data.get("size", data["largest"]), float),  # older files have no size
             calibration=Calibration.from_dict(data["calibration"]),
         )
 
@@ -243,10 +251,10 @@ def calibrated_change(
 
     Parameters
     ----------
-    scores : Mapping, by drive
+    scores : Mapping, score by drive
     alpha : float, probability of an alarm on a further recording
     recordings : Recordings
-    target : RateTarget, optional, in place of alpha
+    target : RateTarget, optional, target rate in place of alpha
 
     Returns
     -------
@@ -267,7 +275,8 @@ def calibrated_change(
 
 
 def regressor_products(e: np.ndarray, yhat: np.ndarray, v: np.ndarray, estimator: Estimator) -> np.ndarray:
-    """Sums (n_y, 3, 3) of products of the regressors over a drive; e, yhat (N, n_y), v (N,)."""
+    """Sums (n_y, 3, 3) of the products of the regressors over a drive, with e and yhat (N, n_y) and v
+    (N,)."""
     total = np.zeros((e.shape[1], 3, 3))
     for blocks in Blocks.stretches(e, yhat, estimator.settled(v)):
         total += np.einsum("mji,mjk->jik", blocks.phi, blocks.phi)
@@ -277,7 +286,7 @@ def regressor_products(e: np.ndarray, yhat: np.ndarray, v: np.ndarray, estimator
 def estimates_met(
     test: ChangeTest, e: np.ndarray, yhat: np.ndarray, v: np.ndarray, estimator: Estimator
 ) -> Met:
-    """Estimates along a drive, e and yhat (N, n_y), v (N,); without a block where nothing is settled."""
+    """Summary of the estimates along a drive, with e and yhat (N, n_y) and v (N,)."""
     met = Met(np.zeros((e.shape[1], 3)), np.zeros((e.shape[1], 3)), 0)
     for blocks in Blocks.stretches(e, yhat, estimator.settled(v)):
         theta = np.abs(test.estimates(blocks))

@@ -1,7 +1,7 @@
-"""Frames that decide the bounds and thresholds of an identification, in words, and silent bins.
+"""Texts on the frames that decide the bounds and thresholds of an identification, and on silent bins.
 
-A frame that alone decides a bound or a threshold deserves a look: a crash, a slide or a wrong sample may have
-caused it. Nothing is dropped in silence: experiments.csv sets a drive aside, with its reason.
+A user should check a frame that alone decides a bound or a threshold. A crash, a slide or a wrong sample may
+have caused it. No frame is dropped automatically. experiments.csv can set a drive aside, with a reason.
 """
 
 from typing import NamedTuple
@@ -14,25 +14,27 @@ from .identification import Identification
 from .model_error import FEWEST_FRAMES
 
 ONE_FRAME = 1.1
-"""Ratio of a number to its value without one frame from which that frame decides it."""
+"""A frame alone decides a number if the number exceeds its value without the frame by this factor."""
 OUTLYING, FEWEST_TO_COMPARE = 3.5, 5
-"""Number of deviations above the median of the scores' logarithms from which a score is an outlier.
+"""Limit of the modified z-score (Iglewicz and Hoaglin) of an outlier, and least number of scores to compare.
 
-The deviation is the median one (Iglewicz and Hoaglin's modified z-score), among at least so many scores.
+The z-score uses the logarithms of the scores, their median and their median absolute deviation.
 """
 
 
 class Decision(NamedTuple):
-    """``text`` says what decides a number. ``alone``: one frame does, which is worth a warning."""
+    """``text`` names what decides a number. ``alone`` is True if one frame does, which calls for a
+    warning."""
 
     text: str
     alone: bool
 
 
 def decides_bounds(result: Identification) -> list[Decision]:
-    """Name the drive and time that decide every nu and B_w above 0 and above its floor.
+    """Name the drive and time that decide each nu above 0 and each B_w above its floor.
 
-    Where one frame decides alone, the text has the bound without it and those that overlap it.
+    Where one frame decides alone, the text also states the bound without this frame and those that overlap
+    it.
 
     Parameters
     ----------
@@ -54,7 +56,7 @@ def decides_bounds(result: Identification) -> list[Decision]:
                 Decision(
                     f"{_frequency(result, k)}: {decided.drive[k, j]} decides {key}{names[j]}, {value:.3g}, "
                     f"from {decided.first[k, j] * Ts:.4g} s on"
-                    + (f"; one frame does: without it {without:.3g}" if alone else ""),
+                    + (f"; one frame alone decides: without it {without:.3g}" if alone else ""),
                     alone,
                 )
             )
@@ -62,9 +64,9 @@ def decides_bounds(result: Identification) -> list[Decision]:
 
 
 def decides_thresholds(result: Identification) -> list[Decision]:
-    """Name the drive, time and bin or band that decide every threshold.
+    """Name the drive, the time and the bin or band that decide each threshold.
 
-    Where one frame decides alone, the text has the threshold without it.
+    Where one frame decides alone, the text also states the threshold without this frame.
 
     Parameters
     ----------
@@ -91,10 +93,10 @@ def _decides(result: Identification, test: str, c: Calibration) -> Decision:
         return Decision(f"{test} test: the tail of the scores decides the threshold {c.carried:.4g}", False)
     drive = c.decided_by
     if drive is None:
-        return Decision(f"{test} test: no drive decides the threshold {c.carried:.4g}, its floor", False)
+        return Decision(f"{test} test: the floor of the test decides the threshold {c.carried:.4g}", False)
     text = f"{test} test: {drive} decides the threshold {c.carried:.4g}{_where(result, test, drive)}"
     peak = result.origins.peaks[drive].get(test)
-    if peak is None or peak.without is None:  # without a core the place is unknown
+    if peak is None or peak.without is None:  # the place is unknown without a core
         return Decision(text, False)
     alpha = result.project.frame_test.alpha
     left = calibrate(
@@ -102,11 +104,11 @@ def _decides(result: Identification, test: str, c: Calibration) -> Decision:
     ).carried
     if c.carried <= ONE_FRAME * left:
         return Decision(text, False)
-    return Decision(f"{text}; one frame does: without it {left:.4g}", True)
+    return Decision(f"{text}; one frame alone decides: without it {left:.4g}", True)
 
 
 def _where(result: Identification, test: str, drive: str) -> str:
-    """Origin of a ``drive``'s score as a continuation; nothing without a core."""
+    """Text that extends a sentence by the time and place of a drive's score, empty without a core."""
     peak = result.origins.peaks[drive].get(test)
     if peak is None:
         return ""
@@ -119,7 +121,7 @@ def _where(result: Identification, test: str, drive: str) -> str:
 
 
 def outlying(result: Identification) -> list[str]:
-    """Name each calibration drive whose score lies outside the others', as after a crash.
+    """Name each calibration drive whose score is an outlier, for example after a crash.
 
     The drive still calibrates.
 
@@ -141,8 +143,8 @@ def outlying(result: Identification) -> list[str]:
         deviation = 1.4826 * float(np.median(np.abs(size - middle)))
         least = middle + max(OUTLYING * deviation, np.log(ONE_FRAME))
         sentences += [
-            f"{test} test: {drive} lies outside the other calibration drives: {s:.4g}, their median is "
-            f"{np.exp(middle):.3g}{_where(result, test, drive)}; the drive calibrates unless "
+            f"{test} test: the score of {drive}, {s:.4g}, is an outlier among the calibration drives, whose "
+            f"median is {np.exp(middle):.3g}{_where(result, test, drive)}; the drive calibrates unless "
             f"{EXPERIMENTS} sets it aside"
             for drive, s in scores.items()
             if np.log(s) > least
@@ -155,7 +157,7 @@ def _all_silent(result: Identification) -> bool:
 
 
 def unresolved(result: Identification) -> list[str]:
-    """Name each output whose disturbance bound comes from the sensor and no drive.
+    """Name each output whose disturbance bound the sensor decides and no drive.
 
     Parameters
     ----------
@@ -171,7 +173,7 @@ def unresolved(result: Identification) -> list[str]:
         if len(bins):
             step, noise = bounds.resolution.step[j], bounds.resolution.noise[j]
             sentences.append(
-                f"B_w of {signal.name} is the limit of its sensor, and the drives need no more, at "
+                f"the limit of the sensor of {signal.name} decides its B_w, and the drives need no more, at "
                 f"{', '.join(_frequency(result, k) for k in bins.tolist())}: steps of {step:.3g} "
                 f"{signal.unit}, noise of {noise:.3g} {signal.unit}"
             )
@@ -191,18 +193,18 @@ def silence(result: Identification) -> list[str]:
     """
     sentences = []
     for k in result.weights.silent:
-        few = f"fewer than {FEWEST_FRAMES} frames one after another set its bounds"
+        few = f"fewer than {FEWEST_FRAMES} successive frames set its bounds"
         weak = (
-            "on the drives that set the bounds a vehicle that does not respond would have had margins up to "
-            f"{result.origins.evidence[k]:.2f}"
+            "on the drives that set the bounds a vehicle that does not respond would have had margins of at "
+            f"most {result.origins.evidence[k]:.2f}"
         )
         why = weak if result.origins.evidence[k] <= 1 else few
         if _all_silent(result) and result.bounds.omega[k] == 0:
-            why = "every other bin is"
+            why = "every other bin is silent"
         sentences.append(f"{_frequency(result, k)} is silent: {why}")
     if result.energy is not None and result.energy.silent:
         names = ", ".join(result.energy.bands[b] for b in result.energy.silent)
-        sentences.append(f"energy test: silent in the bands {names}, since every bin is")
+        sentences.append(f"energy test: silent in the bands {names}, because every bin is silent")
     return sentences
 
 

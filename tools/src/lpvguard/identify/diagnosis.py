@@ -1,5 +1,8 @@
-"""Stage 5: scales of the diagnosis (T38; THEORY 7.9), from the errors of healthy vehicles over WINDOW_S of
-settled blocks. A drive keeps a share of the spread, one of KEPT."""
+"""Stage 5: scales of the diagnosis (T38; THEORY 7.9), from the errors of healthy vehicles.
+
+The errors are those over windows of WINDOW_S of settled blocks. A share of their spread, one of KEPT, stays
+constant within a drive.
+"""
 
 from __future__ import annotations
 
@@ -22,33 +25,36 @@ from ..vehicle.project import Project
 from .change import BLOCK, FIRST_BLOCK_END, block_means
 
 WINDOW_S = 10.0
-"""Settled driving after an alarm from which causes are judged."""
+"""Settled time after an alarm that the diagnosis uses [s]."""
 DELAYS, MOST_STRIDE, REACH_S = 6, 4, 0.5
-"""Delays that are tried (LPVG_DIAGNOSIS_DELAYS), most blocks between them, and their least reach, if
-possible."""
+"""Number of trial delays (LPVG_DIAGNOSIS_DELAYS), largest number of blocks between two of them, and their
+wanted range [s]."""
 CELL_S = 0.8
-"""Cell of the ring before an alarm, which dates the onset."""
+"""Length [s] of a cell of the ring buffer before an alarm, which dates the onset."""
 PARTS = 4
 UPPER = np.triu_indices(PARTS)
 COVERED = 0.95
 EXCITED = 0.05
-"""Least mean square of yhat over its size from which causes are judged."""
+"""Causes are judged only if the mean square of yhat, in units of its size, is at least this number."""
 FITS = float(chi2.ppf(0.99, PARTS - 1))
 MARGIN = 2.0
-"""Margin of the best cause over the next: chi-squared, a likelihood ratio of e."""
+"""Least chi-squared distance between the best and the next cause, a likelihood ratio of e."""
 ROUGHER, STILLER, STILLEST = 4.0, 0.05, 0.01
-"""Noise is four times the largest healthy mean square within blocks.
+"""Limits of the causes noise and frozen output, relative to healthy drives.
 
-A frozen output moves by less than a twentieth of the least, and less than a hundredth of the model's.
+Noise is above four times the largest healthy mean square within blocks. A frozen output moves by less than a
+twentieth of the least healthy movement, and by less than a hundredth of the model's.
 """
 KEPT = (0.0, 0.9, 0.99)
-"""Shares of the spread that one drive may keep. Of two windows a share below 0.9 makes no interval half as
-wide: it counts as none."""
+"""Possible shares of the spread that stay constant within a drive. A share below 0.9 counts as none, because
+with two windows it makes no interval half as wide."""
 GAP = 3
-"""Windows, each of which begins in the middle of the one before, from the end of a past to the window it
-foretells: half a window lies between them, as before an alarm in the mean."""
+"""Number of windows from the last one of a past to the window that it predicts. Each window begins in the
+middle of the previous one, so half a window lies between the past and the prediction, as before an average
+alarm."""
 STEPS, FEWER_STEPS = 200, 20
-"""Steps of expectation and maximisation, from nothing, and from the result of nearly the same windows."""
+"""Number of expectation-maximisation steps: without a start, and from the result of nearly the same
+windows."""
 
 
 @dataclass(frozen=True)
@@ -60,10 +66,10 @@ class Windows:
     n : ndarray (W,), number of blocks
     gram : ndarray (W, n_y, 4, 4)
     along : ndarray (W, n_y, 4)
-    square : ndarray (W, n_y), of e
+    square : ndarray (W, n_y), sum of squares of e
     rough, moved, still : ndarray (W, n_y)
         Mean squares of noise in blocks, of the changes of yhat and of the changes of y.
-    correlated : ndarray (W, n_y), variance factor of the residue's correlation
+    correlated : ndarray (W, n_y), factor on the variance for the correlation of the residue
     """
 
     n: np.ndarray
@@ -86,7 +92,7 @@ class Windows:
 
     @property
     def theta(self) -> np.ndarray:
-        """Estimates (W, n_y, 4), as in the core."""
+        """Estimates theta (W, n_y, 4) by the formula of the core."""
         return np.linalg.solve(self._regular, self.along[..., None])[..., 0]
 
     @property
@@ -96,12 +102,12 @@ class Windows:
         return np.maximum(left, 0.0) / self.n[:, None]
 
     def errors(self, correlated: np.ndarray) -> np.ndarray:
-        """Covariance (W, n_y, 4, 4) of the estimates for a given theta; correlated (n_y,)."""
+        """Covariance (W, n_y, 4, 4) of the estimation errors, with the factor ``correlated`` (n_y,)."""
         return (correlated * self.residue)[..., None, None] * np.linalg.inv(self._regular)
 
     def pasts(self) -> Windows:
-        """Pasts of one drive's windows from the GAP-th on: everything before, without overlap, up to GAP
-        earlier."""
+        """Past of each window of a drive from the GAP-th on: the sum of the windows up to GAP earlier,
+        without overlap."""
         sums = {name: getattr(self, name).copy() for name in ("n", "gram", "along", "square")}
         for value in sums.values():
             for k in range(2, len(value)):
@@ -116,10 +122,10 @@ class Windows:
 def windows_of(
     e: np.ndarray, yhat: np.ndarray, v: np.ndarray, estimator: Estimator, unit: np.ndarray
 ) -> Windows:
-    """Windows of a drive, each starting half the blocks after the last; e, yhat (N, n_y), v (N,).
+    """Windows of a drive with e and yhat (N, n_y) and v (N,). Each starts in the middle of the previous one.
 
-    ``unit`` (n_y, 2): 1 / size of yhat and of its change over a block. A single shorter window of at least
-    half the length is allowed.
+    ``unit`` (n_y, 2) is 1 / size of yhat and of its change from block to block. A short drive may have a
+    single window of at least half the length.
     """
     ends = np.arange(FIRST_BLOCK_END, len(e), BLOCK)[1:]
     at = ends[:, None] + np.arange(1 - BLOCK, 1)
@@ -135,7 +141,7 @@ def windows_of(
     indices = [taken[s : s + length] for s in starts if s == 0 or s + length <= len(taken)]
     if not indices:
         return _empty(e.shape[1])
-    index = np.stack(indices)  # a shorter one is alone
+    index = np.stack(indices)  # a shorter window is the only one
     f, x = phi[index].transpose(0, 2, 3, 1), mean_e[index].swapaxes(1, 2)
     whole_change = change + np.diff(mean_e, axis=0, prepend=mean_e[:1])
     windows = Windows(
@@ -158,7 +164,10 @@ def _empty(n_y: int) -> Windows:
 
 
 def _correlated(left: np.ndarray) -> np.ndarray:
-    """1 + 2 sum of correlations of residues (W, n_y, M) up to the first that is not positive, (W, n_y)."""
+    """Factor (W, n_y) on the variance: 1 + 2 times the sum of the correlations of the residues (W, n_y, M).
+
+    The sum ends before the first correlation that is not positive.
+    """
     blocks = left.shape[-1]
     padded = next_fast_len(2 * blocks, real=True)
     sums = irfft(np.abs(rfft(left, padded)) ** 2, padded)[..., : max(1, blocks // 2)]
@@ -170,9 +179,9 @@ def _correlated(left: np.ndarray) -> np.ndarray:
 def _spread(theta: np.ndarray, errors: np.ndarray, start: np.ndarray | None = None) -> np.ndarray:
     """Second moments (n_y, 4, 4) of a random theta about 0, by expectation and maximisation.
 
-    The estimates are (W, n_y, 4) with ``errors`` (W, n_y, 4, 4). ``start`` (n_y, 4, 4) are those of nearly
-    the same windows. With S_w = moments + errors_w and u_w = S_w^-1 theta_w a step adds
-    moments (mean of u u' - S^-1) moments.
+    The estimates ``theta`` (W, n_y, 4) have the covariances ``errors`` (W, n_y, 4, 4). ``start`` (n_y, 4, 4)
+    holds the moments of nearly the same windows. With S_w = moments + errors_w and u_w = S_w^-1 theta_w a
+    step adds moments (mean of u u' - S^-1) moments.
     """
     theta = np.ascontiguousarray(np.moveaxis(theta, 0, -1))
     errors = np.ascontiguousarray(errors.transpose(2, 3, 1, 0))
@@ -206,15 +215,15 @@ class DiagnosisScales:
     Attributes
     ----------
     Ts : float, s
-    unit : ndarray (n_y, 2), as in the change test
+    unit : ndarray (n_y, 2), unit of the change test
     spread : ndarray (n_y, 4, 4), covariance of a healthy theta
-    correlated : ndarray (n_y,), factor on the variance of its estimate
-    residue : ndarray (n_y, 2), as in diagnosis.h
-    rough, still : ndarray (n_y,), as in diagnosis.h
-    enlarged : ndarray (n_y,), factor on both covariances, included
+    correlated : ndarray (n_y,), factor on the variance of the estimate of theta
+    residue : ndarray (n_y, 2), see diagnosis.h
+    rough, still : ndarray (n_y,), see diagnosis.h
+    enlarged : ndarray (n_y,), factor that ``spread`` and ``correlated`` include
     interval : float, half width of a 95 % interval in standard deviations
-    kept : ndarray (n_y,), share of the spread that one drive keeps
-    windows, drives : int, their numbers
+    kept : ndarray (n_y,), share of the spread that stays constant within a drive
+    windows, drives : int, number of windows and of drives
     """
 
     Ts: float
@@ -232,14 +241,16 @@ class DiagnosisScales:
 
     @classmethod
     def from_windows(cls, project: Project, unit: np.ndarray, drives: Sequence[Windows]) -> DiagnosisScales:
-        """Scales from the windows of every bound-setting drive; ``unit`` (n_y, 2): sizes. InputError
-        without any."""
+        """Scales from the windows of every bound-setting drive, with sizes ``unit`` (n_y, 2).
+
+        Raises InputError without a window.
+        """
         drives = [w for w in drives if len(w.n)]
         if not drives:
             raise InputError(
                 "diagnosis",
                 "",
-                "no drive that sets the bounds has a window",
+                "the drives that set the bounds have no window",
                 f"at least {WINDOW_S / 2:g} s of settled driving in range",
             )
         every = Windows.joined(drives)
@@ -271,7 +282,7 @@ class DiagnosisScales:
 
     @property
     def table(self) -> DiagnosisTable:
-        """Table of the core."""
+        """Table of the diagnosis in the core."""
         block_s = BLOCK * self.Ts
         n_y = len(self.unit)
         words = {
@@ -298,12 +309,12 @@ class DiagnosisScales:
         return DiagnosisTable({}, words, {name: np.array(value, float) for name, value in reals.items()})
 
     def to_dict(self) -> dict:
-        """JSON-able, for `restored`: diagnosis.json."""
+        """Content of diagnosis.json, for `restored`."""
         return {"window_s": WINDOW_S, **{k: v for k, v in vars(self).items() if k != "Ts"}}
 
     @classmethod
     def restored(cls, project: Project, data: dict) -> DiagnosisScales:
-        """Scales of diagnosis.json; an older one has no share that a drive keeps."""
+        """Scales from diagnosis.json. An older file has no ``kept``."""
         data = {"kept": np.zeros(project.n_y), **data}
         scalars: dict[str, Any] = {k: data[k] for k in ("interval", "windows", "drives")}
         arrays: dict[str, Any] = {
@@ -313,10 +324,11 @@ class DiagnosisScales:
 
     @property
     def least(self) -> np.ndarray:
-        """Least change of gain, delay [s] and bias (n_y, 3) that an interval can distinguish from none.
+        """Least change of gain, delay [s] and bias (n_y, 3) that the diagnosis can distinguish from no
+        change.
 
-        It does not fall with the length of the record or of the drive before: healthy vehicles differ by as
-        much. For a gain g it is that of (g - 1)/g, because g scales the spread.
+        Longer records do not reduce it, because healthy vehicles differ by as much. For a gain g it is the
+        change of (g - 1)/g, because g scales the spread.
         """
         spread = (1 - self.kept**2)[:, None, None] * self.spread
         alone = self.interval / np.sqrt(np.einsum("jii->ji", np.linalg.inv(spread)))
@@ -325,7 +337,7 @@ class DiagnosisScales:
         )
 
     def least_text(self, project: Project) -> str:
-        """`least` per output, in words."""
+        """Text with `least` for each output."""
         return "; ".join(
             f"{s.name} gain from {1 / (1 + gain):.2f} to "
             f"{f'{1 / (1 - gain):.2f}' if gain < 1 else 'any above 1'}, "
@@ -336,7 +348,7 @@ class DiagnosisScales:
 
 @dataclass(frozen=True)
 class DiagnosisTable(Sealed):
-    """The scales in the core's form (diagnosis.h)."""
+    """The scales in the form of the core (diagnosis.h)."""
 
     LAYOUT = DIAGNOSIS
 
@@ -344,10 +356,10 @@ class DiagnosisTable(Sealed):
 def _of_others(
     windows: Sequence[int], theta: np.ndarray, errors: np.ndarray, spread: np.ndarray
 ) -> np.ndarray:
-    """Spread (W, n_y, 4, 4) per window of the drives but its own; with one drive its own.
+    """Spread (W, n_y, 4, 4) for each window, from all drives except its own. A single drive uses its own.
 
-    ``windows`` are the numbers of each drive's windows, in the order of ``theta`` and ``errors``; ``spread``
-    is that of all.
+    ``windows`` are the numbers of windows of each drive, in the order of ``theta`` and ``errors``. ``spread``
+    is that of all drives.
     """
     spreads = np.empty_like(errors)
     for first, end in pairwise(np.cumsum([0, *windows])):
@@ -360,12 +372,12 @@ def _of_others(
 def _needed(
     drives: int, theta: np.ndarray, errors: np.ndarray, others: np.ndarray
 ) -> tuple[np.ndarray, float]:
-    """Factor (n_y,) >= 1 on the covariances with which COVERED of the windows lie within the other drives'
-    region.
+    """Factor (n_y,) >= 1 on the covariances, and half width of an interval in standard deviations.
 
-    Also the half width of an interval, in standard deviations. It is Student's t with as many degrees of
-    freedom as drives, because about 0 each drive gives one. It is larger where COVERED of the windows' gains,
-    delays or biases need it, all others being free. ``others``: see _of_others.
+    With the factor, a share COVERED of the windows lies within the region of the other drives. The half width
+    is that of Student's t with as many degrees of freedom as drives, because each drive gives one about 0. It
+    is larger where a share COVERED of the gains, delays or biases needs more, with all other parts free.
+    ``others`` is the result of `_of_others`.
     """
     information = np.linalg.inv(others + errors)
     alone = (information @ theta[..., None])[..., 0]
@@ -380,10 +392,10 @@ def _needed(
 def _kept(
     drives: Sequence[Windows], others: np.ndarray, correlated: np.ndarray, enlarged: np.ndarray
 ) -> np.ndarray:
-    """Share (n_y,) of KEPT with the likeliest windows; 0 where no drive is long enough.
+    """Share (n_y,) of KEPT that makes the windows most likely, or 0 where no drive is long enough.
 
-    With it COVERED of the windows lie within the region predicted from their past. ``others``: see
-    _of_others; ``correlated``: not ``enlarged`` yet.
+    With it, a share COVERED of the windows lies within the region predicted from their past. ``others`` is
+    the result of `_of_others`. ``correlated`` does not include ``enlarged`` yet.
     """
     noise, predictions, first = enlarged * correlated, [], 0
     for drive in drives:
@@ -393,7 +405,7 @@ def _kept(
             predictions.append(np.array([_foretold(drive, noise, spread, share) for share in KEPT]))
     if not predictions:
         return np.zeros(len(enlarged))
-    squares, sizes = np.concatenate(predictions, axis=2).swapaxes(0, 1)  # (KEPT, windows, n_y) each
+    squares, sizes = np.concatenate(predictions, axis=2).swapaxes(0, 1)  # each (KEPT, windows, n_y)
     within = np.quantile(squares, COVERED, axis=1) <= chi2.ppf(COVERED, PARTS)
     within[0] = True
     likelihood = np.where(within, -(squares + sizes).sum(axis=1), -np.inf)
@@ -403,11 +415,10 @@ def _kept(
 def _foretold(
     drive: Windows, noise: np.ndarray, spread: np.ndarray, share: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Chi-squared of a window's prediction from its past, and log determinant of the covariance, (W - GAP,
-    n_y).
+    """Chi-squared of the prediction of windows from their past, and log determinant of its covariance.
 
-    The prediction is the best linear estimate if the drive keeps a ``share`` of the ``spread`` (n_y, 4, 4).
-    ``noise`` (n_y,): as correlated.
+    Both are (W - GAP, n_y). The prediction is the best linear estimate if a ``share`` of the ``spread`` (n_y,
+    4, 4) stays constant within the drive. ``noise`` (n_y,) is the factor on the variance of the estimates.
     """
     past, after = drive.pasts(), drive.select(np.arange(GAP, len(drive.n)))
     weights = share * spread @ np.linalg.inv(spread + past.errors(noise))

@@ -1,4 +1,4 @@
-"""Drives of an identification by their role."""
+"""Drives of an identification and their roles."""
 
 from __future__ import annotations
 
@@ -17,20 +17,20 @@ from .passes import DriveReader
 
 
 class DriveSet:
-    """Drives of a folder that are in use, read on request.
+    """The used drives of a folder, which are read on request.
 
     Parameters
     ----------
     project : Project
     model : NominalModel
-    folder : Path, with experiments.csv
+    folder : Path, folder with experiments.csv
     without : Collection[str], drives to leave out, default ()
 
     Attributes
     ----------
     folder : Path
-    experiments : dict[str, Experiment], by name, in the order of the index
-    set_aside : dict[str, str], reason that the index states, by drive
+    experiments : dict[str, Experiment], by name, in the order of experiments.csv
+    set_aside : dict[str, str], by drive, the reason in experiments.csv
     """
 
     def __init__(self, project: Project, model: NominalModel, folder: Path, without: Collection[str] = ()):
@@ -45,18 +45,17 @@ class DriveSet:
         return self.reader.read(self.experiments[name])
 
     def error(self, where: str, what: str, expected: str) -> InputError:
-        """An InputError about the drives, ready to raise."""
+        """An InputError about the drives, for the caller to raise."""
         return InputError(self.folder, where, what, expected)
 
     def index_error(self, what: str, expected: str) -> InputError:
-        """An InputError about the column split of the index, ready to raise."""
+        """An InputError about the column split of experiments.csv, for the caller to raise."""
         return InputError(self.folder / EXPERIMENTS, "column split", what, expected)
 
 
 @dataclass(frozen=True)
 class Chosen:
-    """Drives by what they are for: those that set the bounds, those without input, and all others, which
-    calibrate."""
+    """Drives by role: ``setting`` set the bounds, ``noise`` have no input, and ``others`` calibrate."""
 
     setting: list[Experiment]
     noise: list[Experiment]
@@ -64,7 +63,7 @@ class Chosen:
 
     @classmethod
     def by_split(cls, drives: DriveSet) -> Chosen:
-        """By the column split of the index; InputError when no drive sets the bounds."""
+        """Roles by the column split of experiments.csv. Raises InputError when no drive sets the bounds."""
         project, experiments = drives.reader.project, list(drives.experiments.values())
         setting = bound_setting(project, experiments, drives.folder)
         noise = [e for e in experiments if e.split in project.data.noise_split]
@@ -74,21 +73,21 @@ class Chosen:
 def require_calibration(
     drives: DriveSet, calibrating: Iterable[str], left_out: Mapping[str, str], judged: bool
 ) -> None:
-    """InputError where nothing calibrates: there is no drive to do so, or no test has ``judged`` any.
+    """Raise InputError where nothing calibrates, because a threshold without a drive has no measured basis.
 
-    ``calibrating``: all but those that set the bounds or are without input. ``left_out``: drive -> why it has
-    no frame. A threshold without a drive would be a number that nobody measured.
+    Then there is no calibration drive, or no test has ``judged`` one. ``calibrating`` are the drives that
+    neither set the bounds nor lack an input. ``left_out`` maps a drive to the reason why it has no frame.
     """
     names = list(calibrating)
     if not names:
         raise drives.index_error(
-            "nothing calibrates: every drive sets the bounds or is without input",
-            f"at least one drive of another split; alpha is stated from {FEWEST_FOR_ALPHA} recordings on",
+            "no drive calibrates: every drive sets the bounds or has no input",
+            f"at least one drive of another split; alpha needs at least {FEWEST_FOR_ALPHA} recordings",
         )
     if not judged:
         reason = next((f"{n}: {left_out[n]}" for n in names if n in left_out), "every bin is silent")
         raise drives.error(
             f"drives that calibrate ({len(names)})",
-            f"nothing calibrates: no test judges a drive ({reason})",
-            "at least one with a frame of a bin that speaks, or with settled driving for the other tests",
+            f"no drive calibrates: no test judges one ({reason})",
+            "at least one drive with a frame in a bin that is not silent, or with settled driving",
         )

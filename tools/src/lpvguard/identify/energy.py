@@ -1,8 +1,9 @@
-"""Stage 5, the energy test (T19): one causal Delta for all outputs, or one an output, from rest until now.
+"""Stage 5, the energy test (T19): does one causal Delta for all outputs, or one for each output, explain the
+drive?
 
-THEORY 7.2 has its assumptions and proof, the weight (T20), the bands F (T21, T22) and the restart in the
-middle of a drive (T19b). A common factor per band makes the fan of directions hold besides every output
-alone.
+THEORY 7.2 has the assumptions and the proof. It defines the weight (T20) and the bands F (T21, T22). It also
+covers a restart in the middle of a drive (T19b). sigma is first set for every output alone. A common factor
+for each band then makes the test hold for the fan of directions too.
 """
 
 from __future__ import annotations
@@ -25,26 +26,25 @@ from .calibration import ROUNDING, Calibration, RateTarget, Recordings, calibrat
 from .remembered import remembered
 
 FAN_BITS = 4
-"""2^4 directions for two outputs, evenly over the half circle in units of sigma."""
+"""With two outputs there are 2^4 directions, evenly over the half circle in units of sigma."""
 FEWEST_SETTLED = 5.0
-"""Time constants after which a transient counts as gone, as in drives/frames.py."""
+"""A transient counts as ended after this number of time constants, as in drives/frames.py."""
 SMALLEST_SIGMA = 1e-2
-"""Floor of sigma_j over the largest ||F e_j|| and ||F W_delta yhat_j||: float then adds sums in units of
-sigma finely
-enough."""
+"""Least sigma_j, relative to the largest ||F e_j|| and ||F W_delta yhat_j||. Float sums in units of sigma are
+then accurate enough."""
 UNBOUNDED = 1e6
-"""Factor on the core's B_w and sigma where nothing is claimed: far beyond a vehicle's signals, and within the
-range
-of float (lib/src/monitor/margin.hpp)."""
+"""Factor on B_w and sigma of the core where the test claims nothing. It makes them far larger than the
+signals of a vehicle, but within the range of float (lib/src/monitor/margin.hpp)."""
 STATED_RTOL = 1e-8
-"""Largest relative difference between stored numbers and those that the weights give."""
+"""Largest relative difference between stored numbers and those recomputed from the weights."""
 
 
 def fan(n_y: int) -> np.ndarray:
-    """Directions (D, n_y) up to their sign, sum |a_j| = 1, single outputs among them, in units of sigma.
+    """Directions a (D, n_y) up to their sign, in units of sigma, with sum |a_j| = 1. They include single
+    outputs.
 
-    For two outputs in bit-reversed order: neighbours are nearly equal, so consecutive judgements take distant
-    directions.
+    For two outputs their order is bit-reversed. Successive judgements then use distant directions, because
+    neighbours are nearly equal.
     """
     if n_y == 2:
         turn = np.array([int(f"{k:0{FAN_BITS}b}"[::-1], 2) for k in range(2**FAN_BITS)]) / 2**FAN_BITS
@@ -52,18 +52,20 @@ def fan(n_y: int) -> np.ndarray:
         directions[turn == 0.5, 0] = 0.0
     else:
         signs = np.stack(np.meshgrid(*[[-1.0, 0.0, 1.0]] * n_y, indexing="ij"), axis=-1).reshape(-1, n_y)
-        directions = signs[len(signs) // 2 + 1 :]  # the later half: first entry that is not 0 is positive
+        directions = signs[
+            len(signs) // 2 + 1 :
+        ]  # the later half, whose first entry that is not 0 is positive
     return directions / np.abs(directions).sum(axis=1, keepdims=True)
 
 
 def _sections(zeros: np.ndarray, poles: np.ndarray, gain: float, rate: float, rho: float) -> np.ndarray:
-    """Second-order sections (S, 6) in z of a filter in s, with z/rho for z in the bilinear transform."""
+    """Second-order sections (S, 6) in z of a filter in s. z/rho replaces z in the bilinear transform."""
     z, p, k = bilinear_zpk(zeros, poles, gain, rate)
-    return zpk2sos(rho * z, rho * p, k)  # as many zeros as poles: the gain is the same
+    return zpk2sos(rho * z, rho * p, k)  # there are as many zeros as poles, so the gain is the same
 
 
 def _bands(corner_rad: np.ndarray, rate: float) -> np.ndarray:
-    """Sections (B, S, 6) in z of the bands between the warped corners [rad/s]."""
+    """Sections (B, S, 6) in z of the band filters between the warped corners [rad/s]."""
     one, nothing = np.zeros(1), np.zeros(0)
     bands = [
         _sections(nothing, -corner_rad, np.prod(corner_rad), rate, 1.0),
@@ -76,14 +78,15 @@ def _bands(corner_rad: np.ndarray, rate: float) -> np.ndarray:
 
 
 def _padded(filters: list[np.ndarray]) -> np.ndarray:
-    """Sections (N, S, 6) of filters of at most S sections each, padded with sections that pass everything."""
+    """Sections (N, S, 6) of N filters with at most S sections, padded with sections of gain 1."""
     passing = np.array([[1.0, 0.0, 0.0, 1.0, 0.0, 0.0]])
     most = max(map(len, filters))
     return np.stack([np.concatenate([f, *[passing] * (most - len(f))]) for f in filters])
 
 
 def in_delta(sections: np.ndarray) -> np.ndarray:
-    """b0, b1, b2, a1, a2 (..., 5) in the core's operator z - 1, from sections (..., 6) in z."""
+    """Coefficients b0, b1, b2, a1, a2 (..., 5) in the operator z - 1 of the core, from sections (..., 6) in
+    z."""
     b, a = sections[..., :3], sections[..., 3:]
     return np.stack(
         [b[..., 0], 2 * b[..., 0] + b[..., 1], b.sum(-1), 2 * a[..., 0] + a[..., 1], a.sum(-1)], axis=-1
@@ -93,16 +96,17 @@ def in_delta(sections: np.ndarray) -> np.ndarray:
 def _raised(
     project: Project, W_delta: Sequence[Weight], warped: np.ndarray, bounds: np.ndarray
 ) -> Iterator[tuple[float, Weight, dict]]:
-    """Gain >= 1 of each weight above its bound, the weight with it, and its certificate.
+    """For each weight: the gain >= 1 that puts it above its bound, the weight with this gain, and its
+    certificate.
 
-    The bounds are rows of ``bounds`` (n_delta, K) at ``warped`` (K,) [rad/s].
+    The bounds are the rows of ``bounds`` (n_delta, K) at ``warped`` (K,) [rad/s].
     """
     if not len(W_delta) == len(bounds) == project.n_delta:
         raise InputError(
             f"vehicle {project.name}",
             "W_delta",
             f"{len(W_delta)} weights, {len(bounds)} bounds",
-            f"{project.n_delta} of each: structure {project.bounds.structure}",
+            f"{project.n_delta} of each for structure {project.bounds.structure}",
         )
     name = "W_delta, warped"
     for W, bound in zip(W_delta, bounds, strict=True):
@@ -120,7 +124,7 @@ def _raised(
 
 
 def _norm_in(sums: np.ndarray, directions: np.ndarray) -> np.ndarray:
-    """sqrt(a' G a) (n, D) of matrices (n, n_y, n_y) in directions (D, n_y)."""
+    """sqrt(a' G a) (n, D) for each matrix G of ``sums`` (n, n_y, n_y) and direction a (D, n_y)."""
     products = directions[:, :, None] * directions[:, None, :]
     squares = sums.reshape(len(sums), -1) @ products.reshape(len(directions), -1).T
     return np.sqrt(np.maximum(squares, 0.0))
@@ -134,19 +138,19 @@ class EnergyTest:
     ----------
     Ts, memory_s : float, s
     band_hz : tuple of float, Hz, the B - 1 corners
-    settle : int, samples
+    settle : int, settling time in samples
     speed_range : tuple[float, float], m/s
-    F : ndarray (B, S, 6), sections in z per band
-    W : ndarray (n_delta, S, 6), sections in z per Delta
-    gain : ndarray (n_delta,), factor on W_delta that keeps it above its bound when warped
-    certificate : list of dict, one a Delta
+    F : ndarray (B, S, 6), sections in z of each band
+    W : ndarray (n_delta, S, 6), sections in z of the weight of each Delta
+    gain : ndarray (n_delta,), factor on W_delta that keeps it above its bound after warping
+    certificate : list of dict, one for each Delta
     directions : ndarray (D, n_y), in units of sigma
     sigma : ndarray (B, n_y), output units
-    start : ndarray (B, n_y), memory at a restart [output units]
-    joint : ndarray (B,), common factor >= 1 in sigma for the fan and for cut drives
+    start : ndarray (B, n_y), bound of the memory at a restart [output units]
+    joint : ndarray (B,), common factor >= 1 in sigma for the fan of directions
     calibration : Calibration
-    silent : tuple of int, bands that set no threshold and raise no alarm, because no frame shows evidence
-    refuting : float, ratio above which the certificate's W_delta is refuted, too (THEORY 7.18), default 1
+    silent : tuple of int, bands without a threshold and without alarms, because no frame shows evidence
+    refuting : float, larger ratios also refute the W_delta of the certificate (THEORY 7.18), default 1
 
     References
     ----------
@@ -180,11 +184,11 @@ class EnergyTest:
         bound: np.ndarray,
         inflation: float,
     ) -> EnergyTest:
-        """Filters for the project's n_delta weights W_delta, before sigma is known.
+        """Filters for the n_delta weights W_delta of the project, before sigma is known.
 
         The weights lie above the samples ``bound`` (K, n_delta) at ``omega`` (K,), times the final inflation.
-        Raises
-        InputError for settings that make no test, and for weights of another structure.
+        Raises InputError for settings without a valid test, and for weights of another structure.
+
         """
         Ts, settings = estimator.Ts, project.energy_test
         corners = settings.band_hz or (project.frames.f_min_hz, project.frames.f_max_hz)
@@ -196,7 +200,7 @@ class EnergyTest:
                 f"vehicle {project.name}",
                 "energy_test",
                 f"memory {memory:g} s, band from {2 * np.pi * corners[0]:.4g} rad/s",
-                f"a memory above {1 / low_rad:.3g} s: the filters must forget faster than the sums",
+                f"a memory above {1 / low_rad:.3g} s, because the filters must forget faster than the sums",
             )
         warped, bounds = prewarped(np.asarray(omega), Ts), np.transpose(bound)
         gain, raised, certificate = zip(*_raised(project, W_delta, warped, bounds), strict=True)
@@ -226,12 +230,12 @@ class EnergyTest:
 
     @property
     def memories_s(self) -> np.ndarray:
-        """Time constants (B,) of the left sums' forgetting; that of the right sums is the first."""
+        """Time constants (B,) [s] of the left sums. The first one is also that of the right sums."""
         return self.memory_s * np.array([*[1.0] * len(self.band_hz), self.band_hz[0] / self.band_hz[-1]])
 
     @property
     def single(self) -> bool:
-        """Whether every direction is one output, as with a Delta an output."""
+        """Whether each output has a separate Delta. Every direction then is one output."""
         return len(self.W) > 1
 
     @property
@@ -241,16 +245,16 @@ class EnergyTest:
 
     @property
     def rho(self) -> float:
-        """Forgetting per sample of Delta and the right sums."""
+        """Forgetting factor per sample of Delta and the right sums."""
         return float(np.exp(-self.Ts / self.memory_s))
 
     @property
     def rearm(self) -> int:
-        """Samples without an exceedance before another alarm: one memory."""
+        """Number of samples without an exceedance before another alarm, one memory."""
         return int(np.ceil(self.memory_s / self.Ts))
 
     def sigma_text(self, project: Project) -> str:
-        """sigma per output, below, between and above the corners."""
+        """Text with sigma of each output, below, between and above the corners."""
         bands = ", ".join(self.bands)
         return "; ".join(
             f"{signal.name} {', '.join(f'{x:.3g}' for x in per_band)} {signal.unit} ({bands} the corners)"
@@ -259,29 +263,32 @@ class EnergyTest:
 
     @property
     def claim_text(self) -> str:
-        """Claim of a ratio above 1, with its assumptions (THEORY 7.2)."""
+        """Text with the claim of a ratio above 1 and its assumptions (THEORY 7.2)."""
         blocks = "a Delta for each output" if self.single else "one Delta for all outputs"
         return (
             f"given sigma, a ratio above 1 refutes every error Delta W_delta yhat with {blocks}, linear, "
             f"time-invariant, causal and |Delta(z)| <= 1 for |z| >= {self.rho:.6g} (memory {self.memory_s:g} "
-            "s), in every band; after a restart if the model has settled and the driving before it left no "
-            "more in Delta, W_delta and the filters than the identification's drives could"
+            "s), in every band; after a restart this holds if the model has settled and earlier driving "
+            "left no more in Delta, W_delta and the filters than the drives of the identification could"
         )
 
     def at_rest(self) -> EnergyTest:
-        """The test for whole drives, without memory before their start."""
+        """The test for whole drives, which have no memory before their start."""
         return replace(self, start=np.zeros_like(self.start))
 
     def norms(
         self, e: np.ndarray, yhat: np.ndarray, v: np.ndarray
     ) -> Iterator[tuple[int, int, np.ndarray, np.ndarray]]:
-        """Per stretch in speed range and band: first judged sample, band, left and right matrices of products
-        (n, n_y, n_y)."""
+        """Yield the sums of each stretch in the speed range and each band.
+
+        They are the first judged sample, the band, and the left and right matrices of products (n, n_y, n_y).
+        """
         for first, band, *sides in self._sides(e, yhat, v):
             yield first, band, *self._matrices(band, *sides)
 
     def _matrices(self, band: int, left: np.ndarray, right: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Left and right matrices of products (n, n_y, n_y) of a stretch in one band, from its `_sides`."""
+        """Left and right matrices of products (n, n_y, n_y) of a stretch in one band, from the result of
+        `_sides`."""
         of_left = self._sums(band, left[:, None] * left)
         of_right = self._sums(0, right[:, None] * right)[..., self.settle :]
         return np.moveaxis(of_left, -1, 0), np.moveaxis(of_right, -1, 0)
@@ -296,8 +303,11 @@ class EnergyTest:
     def _sides(
         self, e: np.ndarray, yhat: np.ndarray, v: np.ndarray
     ) -> Iterator[tuple[int, int, np.ndarray, np.ndarray]]:
-        """Per stretch in speed range and band: first judged sample, band, F e from there on (n_y, n), and F
-        W_delta yhat from ``settle`` samples before."""
+        """Yield the filtered signals of each stretch in the speed range and each band.
+
+        They are the first judged sample, the band, F e from this sample on (n_y, n), and F W_delta yhat from
+        ``settle`` samples earlier.
+        """
         for stretch in self._stretches(v):
             error, explained = (np.ascontiguousarray(x.T) for x in (e[stretch], self.weighted(yhat[stretch])))
             for band, F in enumerate(self.F):
@@ -309,33 +319,37 @@ class EnergyTest:
                 )
 
     def weighted(self, yhat: np.ndarray) -> np.ndarray:
-        """W_delta yhat_j (N, n_y) of the nominal output (N, n_y), from rest, each by its Delta's weight."""
+        """W_delta yhat_j (N, n_y) of the nominal output (N, n_y), from rest, with the weight of its Delta."""
         if len(self.W) == 1:
             return sosfilt(self.W[0], yhat, axis=0)
         return np.column_stack([sosfilt(W, column) for W, column in zip(self.W, yhat.T, strict=True)])
 
     def _sums(self, band: int, products: np.ndarray) -> np.ndarray:
-        """Sums over the last axis, with the forgetting of a band's left side; of band 0 it is rho."""
+        """Sums over the last axis with the forgetting of a band's left sums. That of band 0 is rho."""
         return lfilter([1.0], [1.0, -np.exp(-2 * self.Ts / self.memories_s[band])], products)
 
     def _memory(self, band: int, samples: int, a: np.ndarray) -> np.ndarray:
-        """Memory before the restart (samples, D) in directions ``a`` (D, n_y), from the first judged
-        sample on."""
+        """Bound (samples, D) of the memory before the restart, in directions ``a`` (D, n_y).
+
+        It begins at the first judged sample.
+        """
         fading = self.rho ** (self.settle + 1 + np.arange(samples))
         return np.outer(fading, np.abs(a) @ self.start[band])
 
     def ratios(self, e: np.ndarray, yhat: np.ndarray, v: np.ndarray) -> Iterator[tuple[int, int, np.ndarray]]:
-        """Per stretch in speed range and band: first judged sample, band, left side over right (n, D) in
-        every direction."""
+        """Yield the ratios of each stretch in the speed range and each band.
+
+        They are the first judged sample, the band, and left side / right side (n, D) in every direction.
+        """
         for first, band, left, right in self.norms(e, yhat, v):
             a = self.directions / self.sigma[band]
             allowed = _norm_in(right, a) + self._memory(band, len(left), a)
             yield first, band, _norm_in(left, a) / (allowed + 1.0)
 
     def needs(self, e: np.ndarray, yhat: np.ndarray, v: np.ndarray) -> dict[str, np.ndarray]:
-        """Sigma that a drive needs, per output (B, n_y) and jointly (B,), and the largest norms met.
+        """Sigma that a drive needs, for each output (B, n_y) and jointly (B,), and its largest norms.
 
-        e, yhat (N, n_y), v (N,). NaN where nothing is judged.
+        The drive has e and yhat (N, n_y) and v (N,). The result is NaN where nothing is judged.
         """
         out = {key: np.full(self.sigma.shape, np.nan) for key in ("sigma", "error", "bound")} | {
             "joint": np.full(len(self.F), np.nan)
@@ -347,7 +361,7 @@ class EnergyTest:
         return out
 
     def _needs_in(self, band: int, left: np.ndarray, right: np.ndarray) -> dict[str, np.ndarray]:
-        """`needs` of a stretch in one band, from its `_sides`."""
+        """`needs` of a stretch in one band, from the result of `_sides`."""
         if self.single:
             diagonals = self._sums(band, left**2), self._sums(0, right**2)[:, self.settle :]
         else:
@@ -365,10 +379,9 @@ class EnergyTest:
         return needed | {"error": error.max(axis=1), "bound": bound.max(axis=1), "joint": joint}
 
     def memory_met(self, e: np.ndarray, yhat: np.ndarray, v: np.ndarray) -> np.ndarray:
-        """Largest norm (B, n_y) remembered at a restart at any sample of a drive: of F W_delta yhat and of F
-        e.
+        """Largest memory (B, n_y) of F W_delta yhat and F e at a restart at any sample of a drive.
 
-        e, yhat (N, n_y), v (N,). NaN where nothing is judged.
+        The drive has e and yhat (N, n_y) and v (N,). The result is NaN where nothing is judged.
         """
         largest = np.full(self.sigma.shape, np.nan)
         for stretch in self._stretches(v):
@@ -381,9 +394,10 @@ class EnergyTest:
         return largest
 
     def with_sigma(self, needs: dict[str, np.ndarray], floor: np.ndarray | float = 0.0) -> EnergyTest:
-        """The test with sigma per band and output from ``needs`` over all identification drives.
+        """The test with sigma of each band and output from ``needs`` over all identification drives.
 
-        Sigma is at least ``floor`` (B, n_y), the sensors' limit. The memory at a restart is the largest met.
+        Sigma is at least ``floor`` (B, n_y), the limit of the sensors. The memory at a restart is the largest
+        one of these drives.
         """
         size = np.maximum(needs["error"], needs["bound"])
         if not (size > 0).all():
@@ -391,16 +405,16 @@ class EnergyTest:
                 "energy test",
                 "",
                 "it judges no excited drive among those that set the bounds",
-                f"{self.settle * self.Ts:.3g} s "
-                f"and more within {self.speed_range[0]:g}..{self.speed_range[1]:g} m/s",
+                f"at least {self.settle * self.Ts:.3g} s "
+                f"within {self.speed_range[0]:g}..{self.speed_range[1]:g} m/s",
             )
         sigma = np.maximum(np.maximum(needs["sigma"], SMALLEST_SIGMA * size), floor)
         return replace(self, sigma=sigma, start=needs["memory"])
 
     def with_joint(self, needs: dict[str, np.ndarray]) -> EnergyTest:
-        """The test with sigma raised until the fan of directions holds too.
+        """The test with sigma raised by a common factor, so that it holds for the fan of directions too.
 
-        ``needs`` are those with sigma per output, NaN where nothing is needed.
+        ``needs`` are those with sigma of each output, and NaN where nothing is judged.
         """
         joint = np.fmax(1.0, needs["joint"])
         return replace(self, sigma=self.sigma * joint[:, None], joint=joint)
@@ -420,7 +434,7 @@ class EnergyTest:
         )
 
     def coefficients(self) -> tuple[dict[str, int], dict[str, int], dict[str, np.ndarray]]:
-        """Sizes, words and numbers of coeff.h."""
+        """Sizes, whole numbers and real numbers of this test for coeff.h."""
         words = {"energy_settle": self.settle, "energy_rearm": self.rearm}
         tangent = np.tan(np.pi * np.array(self.band_hz) * self.Ts)
         sigma = self.sigma.copy()
@@ -442,7 +456,7 @@ class EnergyTest:
         )
 
     def to_dict(self) -> dict:
-        """JSON-able, for `restored`."""
+        """Convert to JSON types, for `restored`."""
         return {
             "memory_s": self.memory_s,
             "band_hz": list(self.band_hz),
@@ -458,8 +472,8 @@ class EnergyTest:
         }
 
     def restored(self, data: dict, where: str) -> EnergyTest:
-        """The test with stored sigma and calibration; InputError when ``data`` belongs to other filters."""
-        if "above" in data:  # its `start` were squares
+        """The test with the stored sigma and calibration of ``data``. Raises InputError for other filters."""
+        if "above" in data:  # the field `start` then held squares
             raise InputError(
                 where,
                 "above",
@@ -472,7 +486,7 @@ class EnergyTest:
                 where,
                 "memory_s, band_hz, settle_samples, bands",
                 f"{stored}",
-                "those that project.json describes",
+                "the values of project.json",
             )
         self._require_stated(data, where)
         return replace(
@@ -484,18 +498,20 @@ class EnergyTest:
         )
 
     def _require_stated(self, data: dict, where: str) -> None:
-        """Raise InputError for an impossible sigma, or for gains and certificates of other weights.
+        """Raise InputError for impossible values, or for gains and certificates of other weights.
 
-        sigma, which the drives set, is positive, ``start`` not negative and ``joint`` at least 1.
+        sigma must be positive, ``start`` not negative, and ``joint`` at least 1.
         """
         least = {"sigma": np.finfo(float).tiny, "start": 0.0, "joint": 1.0}
         for name, low in least.items():
             value, shape = np.array(data[name], float), getattr(self, name).shape
             if value.shape != shape or not (np.isfinite(value) & (value >= low)).all():
-                raise InputError(where, name, f"{data[name]}", f"finite numbers {shape}, {low:g} at least")
+                raise InputError(where, name, f"{data[name]}", f"finite numbers {shape} of at least {low:g}")
         if not np.allclose(data["gain"], self.gain, rtol=STATED_RTOL, atol=0):
-            raise InputError(where, "gain", f"{data['gain']}", f"{self.gain}, of the weights")
+            raise InputError(where, "gain", f"{data['gain']}", f"{self.gain}, the gain of the weights")
         for one, proved in zip(data["certificate"], self.certificate, strict=True):
             held = one["ok"] and one["min_ratio"] <= proved["min_ratio"] * (1 + STATED_RTOL)
             if not held or one["max_ratio"] < proved["max_ratio"] * (1 - STATED_RTOL):
-                raise InputError(where, "certificate", "does not prove the weight", "the weights' own")
+                raise InputError(
+                    where, "certificate", "does not prove the weight", "the certificate of the weights"
+                )

@@ -1,9 +1,9 @@
-"""Predictive band of a further drive's model error: true, and as sharp as the drives allow (THEORY 7.15).
+"""Predictive band of the model error of a further drive (THEORY 7.15).
 
-Hyperparameters come from the marginal likelihood. The band includes their uncertainty: it rests on draws of
-hyperparameters, of the common error and of a further drive's deviation. Its width is one factor on the
-standard deviation. With the least such factor a further drive lies within the band at all frequencies, speeds
-and amplitudes at once, with the stated confidence.
+The marginal likelihood gives the hyperparameters. The band includes their uncertainty. It is computed from
+draws of the hyperparameters, of the common error and of the deviation of a further drive. The width of the
+band is one factor times the standard deviation. With the stated confidence, a further drive lies within the
+band at all frequencies, speeds and amplitudes together. The factor is the least one with this property.
 """
 
 from dataclasses import dataclass
@@ -17,20 +17,20 @@ from .error_sums import AMPLITUDE_CELLS_PER_KNOT, SPEED_CELLS, ErrorSums, deviat
 LEVEL = 0.01
 """1 - confidence that a further drive lies within the band everywhere."""
 HYPER_DRAWS, DRAWS_EACH = 64, 64
-"""Draws of hyperparameters, and of errors under each."""
+"""Number of draws of hyperparameters, and of errors for each of them."""
 SPEED_NODES, AMPLITUDE_NODES = 9, 4
-"""Speeds over the range, and amplitudes over what was driven about a speed, at which the band is read."""
+"""Number of speeds over the range, and of driven amplitudes at each speed, at which the band is computed."""
 INTERPOLATION = 0.15
-"""Standard error of the error between speeds and amplitudes, over its largest variation with them."""
+"""Interpolation error between these speeds and amplitudes, relative to the largest variation of the error."""
 WAVEFORM = 1.5
-"""Factor between amplitudes at which inputs of one rms and different waveform act alike."""
+"""Largest factor between the effective amplitudes of inputs with the same rms and different waveforms."""
 RARE = 0.02
-"""Share of the samples about a speed with amplitudes beyond either end of what counts as driven."""
+"""Share of the samples near a speed that lie beyond each end of the driven amplitudes."""
 
 
 @dataclass(frozen=True)
 class ErrorBand:
-    """Band of one output's error over frequency, speed and amplitude.
+    """Band of the error of one output over frequency, speed and amplitude.
 
     Attributes
     ----------
@@ -38,7 +38,7 @@ class ErrorBand:
     speed : (S,) [m/s].
     amplitude : (S, A) [input unit].
     centre : (G, S, A) complex, posterior mean.
-    sd : (G, S, A) standard deviation of a further drive's error about it.
+    sd : (G, S, A) standard deviation of the error of a further drive about ``centre``.
     k : factor on ``sd``.
     mean : (p,) posterior mean of the lag values.
     prior, most_probable : prior of the lag values, and its hyperparameters.
@@ -61,35 +61,37 @@ class ErrorBand:
 
     @property
     def lower(self) -> np.ndarray:
-        """(G, S, A) what |delta| is at least, by frequency, speed and amplitude."""
+        """Lower bound (G, S, A) of |delta| by frequency, speed and amplitude."""
         return np.maximum(np.abs(self.centre) - self.k * self.sd, 0.0)
 
     @property
     def upper(self) -> np.ndarray:
-        """(G, S, A) bound of |delta| by frequency, speed and amplitude."""
+        """Upper bound (G, S, A) of |delta| by frequency, speed and amplitude."""
         return np.abs(self.centre) + self.k * self.sd
 
     def typical(self, alpha: float) -> np.ndarray:
-        """Compute the bound (G,) of |delta| that a further drive exceeds with probability ``alpha``. The
-        probability is for one frequency, with a complex normal error. The bound is the median over speeds and
-        amplitudes."""
+        """Compute the bound (G,) of |delta| that a further drive exceeds with probability ``alpha``.
+
+        The probability is for one frequency, with a complex normal error. The result is the median over
+        speeds and amplitudes.
+        """
         return np.median(np.abs(self.centre) + np.sqrt(-np.log(alpha)) * self.sd, axis=(1, 2))
 
     @property
     def bound(self) -> np.ndarray:
-        """(G,) bound of |delta| over all speeds and amplitudes."""
+        """Upper bound (G,) of |delta| over all speeds and amplitudes."""
         return self.upper.max(axis=(1, 2))
 
 
 def driven_amplitudes(domain: ErrorDomain, histogram: np.ndarray, speed: np.ndarray) -> np.ndarray:
-    """Return the lowest and highest amplitude that was driven about each speed.
+    """Return the lowest and highest driven amplitude near each speed.
 
-    About a speed without samples it is that of the nearest speed with some.
+    A speed without samples gets the amplitudes of the nearest speed with samples.
 
     Parameters
     ----------
     domain : ErrorDomain
-    histogram : ndarray (S', A') of int, of `ErrorSums`
+    histogram : ndarray (S', A') of int, from `ErrorSums`
     speed : ndarray (S,), m/s
 
     Returns
@@ -115,7 +117,7 @@ def driven_amplitudes(domain: ErrorDomain, histogram: np.ndarray, speed: np.ndar
 
 
 def band_cells(domain: ErrorDomain, histogram: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Speeds (S,) over the model's range [m/s], and amplitudes (S, A) over what was driven about each."""
+    """Speeds (S,) over the range of the model [m/s], and driven amplitudes (S, A) at each speed."""
     speed = np.linspace(*domain.speed_range, SPEED_NODES)
     ends = driven_amplitudes(domain, histogram, speed)
     return speed, np.array([np.geomspace(a, b, AMPLITUDE_NODES) for a, b in ends])
@@ -131,7 +133,7 @@ def error_band(
     cells: tuple[np.ndarray, np.ndarray] | None = None,
     like: ErrorBand | None = None,
 ) -> ErrorBand:
-    """Compute the band of a further drive's error.
+    """Compute the band of the error of a further drive.
 
     Parameters
     ----------
@@ -139,10 +141,11 @@ def error_band(
     sums : ErrorSums
     output : int, index of the output
     omega : ndarray (G,), rad/s
-    seed : int, of the draws
+    seed : int, seed of the draws
     scales : PriorScales, default USUAL
-    cells : tuple, optional, speeds (S,) [m/s] and amplitudes (S, A) [input unit], by default as driven
-    like : ErrorBand, optional, band of more drives whose hyperparameters are taken
+    cells : tuple, optional
+        Speeds (S,) [m/s] and amplitudes (S, A) [input unit], by default the driven ones.
+    like : ErrorBand, optional, band of more drives, whose hyperparameters are used
 
     Returns
     -------
@@ -165,9 +168,9 @@ def error_band(
     values, own = _draws(prior, of_output, hyper, random)
     lags = np.einsum("cf,nfl->ncl", features, values.reshape(len(values), features.shape[1], -1))
     response = domain.response(omega)
-    # (G, N, C): the common error in every draw, and that of a further drive.
+    # The common error in every draw (G, N, C), and then the error of a further drive.
     common = np.einsum("gl,ncl->gnc", response, lags, optimize=True)
-    # A drive deviates by a factor on its response.
+    # The deviation of a drive is a factor on the response of the vehicle.
     factor = 1 + common.mean(axis=1, keepdims=True)
     error = common + (response @ deviations(domain) @ own.T)[:, :, None] * factor
     centre = error.mean(axis=1)
@@ -184,7 +187,7 @@ def error_band(
 def _draws(
     prior: ErrorPrior, sums: OutputSums, hyper: Hyperparameters, random: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Draws (N, p) of the common error's lag values and (N, 3) of a further drive's deviation."""
+    """Draws (N, p) of the lag values of the common error, and (N, 3) of the deviation of a further drive."""
     values, own = [], []
     for x in hyper.draws(HYPER_DRAWS, random):
         posterior = sums.posterior(prior, x)

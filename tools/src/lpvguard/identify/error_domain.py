@@ -1,12 +1,13 @@
 """Domain of the regularised model error model: lags, speed and amplitude (THEORY 7.15).
 
-The error of output j follows the nominal output by an impulse response over lags,
+The error of output j is the response to the nominal output by an impulse response over lags,
 
     e_j(t) = sum_k g_j(k; s, a) yhat_j(t - k) + offset + disturbance
 
-s is the relative speed, a the amplitude of the first input. g is a sum of features of (s, a), each with
-values at knots of the lag; between knots it is linear. Knots are one step apart at small lags and then
-grow geometrically. Lags below 0 let the vehicle respond sooner than the model does.
+Here s is the relative speed, and a is the amplitude of the first input. g is a sum of features of (s, a).
+Each feature has values at knots of the lag and is linear between them. Knots are one step apart at small
+lags, then their distance grows geometrically. With lags below 0 the vehicle may respond sooner than the model
+does.
 """
 
 from __future__ import annotations
@@ -26,19 +27,20 @@ from ..vehicle.nominal import NominalModel
 UNIT_LAGS = (-2, 5)
 """First and last of the knots that are one step apart [steps]."""
 KNOT_RATIO = 1.35
-"""Ratio of one knot to the one before, beyond the last of UNIT_LAGS."""
+"""Ratio of successive knots beyond the last of UNIT_LAGS."""
 MEMORY_RAD = 1.5
-"""Longest lag times the lowest bin's frequency [rad]."""
+"""Longest lag times the frequency of the lowest bin [rad]."""
 OVERSAMPLING = 2.5
-"""Nyquist frequency of the decimated signals over the highest bin's frequency, at least."""
+"""Least ratio of the Nyquist frequency of the decimated signals to the frequency of the highest bin."""
 SLOW = 0.05
-"""Share of the highest speed below which the scale of speed turns from logarithmic to linear."""
+"""Below this share of the highest speed the scale of speed is nearly linear, and above it nearly
+logarithmic."""
 SPEED_DEGREE = 6
 """Highest degree of the polynomials of speed."""
 AMPLITUDE_RATIO, AMPLITUDE_KNOTS = 2.5, 6
-"""Ratio of neighbouring knots of amplitude, and how many there are."""
+"""Ratio of neighbouring knots of the amplitude, and number of knots."""
 AMPLITUDE_WINDOW_S = 10.0
-"""Time about a sample over which the input's amplitude is taken [s]."""
+"""Length of the window around a sample for the amplitude of the input [s]."""
 
 
 @dataclass(frozen=True)
@@ -62,7 +64,7 @@ class ErrorDomain:
 
     @classmethod
     def from_estimator(cls, estimator: Estimator, excited_std: float) -> ErrorDomain:
-        """Domain of an estimator's bins; ``excited_std`` [input unit] scalar."""
+        """Domain for the bins of an estimator. ``excited_std`` [input unit] is a scalar."""
         omega = estimator.omega[estimator.cycles > 0]
         decimation = max(1, int(np.pi / (OVERSAMPLING * omega[-1] * estimator.Ts)))
         return cls(estimator.Ts, decimation, omega, estimator.speed_range, np.sqrt(2) * excited_std)
@@ -74,7 +76,7 @@ class ErrorDomain:
 
     @cached_property
     def lags(self) -> np.ndarray:
-        """(L,) knots of the lag [steps], rising."""
+        """Rising knots (L,) of the lag [steps]."""
         knots = list(range(UNIT_LAGS[0], UNIT_LAGS[1] + 1))
         longest = MEMORY_RAD / self.omega[0] / self.step_s
         while knots[-1] < longest:
@@ -83,31 +85,33 @@ class ErrorDomain:
 
     @cached_property
     def taps(self) -> np.ndarray:
-        """(L, M) weights of the lags from lags[0] to the end of the last knot's hat, by knot."""
+        """Weights (L, M) of all lags, from lags[0] to the end of the hat function of the last knot, for each
+        knot."""
         end = 2 * self.lags[-1] - self.lags[-2]
         every = np.arange(self.lags[0], end)
         knots = np.r_[self.lags, end]
         return np.array([np.interp(every, knots, row) for row in np.eye(len(self.lags), len(knots))])
 
     def response(self, omega: np.ndarray) -> np.ndarray:
-        """(G, L) frequency response of each knot's taps at ``omega`` (G,) [rad/s]."""
+        """Frequency response (G, L) of the taps of each knot at ``omega`` (G,) [rad/s]."""
         every = self.lags[0] + np.arange(self.taps.shape[1])
         return np.exp(-1j * np.outer(omega, every) * self.step_s) @ self.taps.T
 
     @property
     def lowest_knot(self) -> float:
-        """Lowest knot of the amplitude [input unit]: below it samples do not count."""
+        """Lowest knot of the amplitude [input unit]. Samples below it do not count."""
         return self.least_amplitude / AMPLITUDE_RATIO
 
     @cached_property
     def amplitude_knots(self) -> np.ndarray:
-        """(A,) knots of the amplitude [input unit]."""
+        """Knots (A,) of the amplitude [input unit]."""
         return self.lowest_knot * AMPLITUDE_RATIO ** np.arange(AMPLITUDE_KNOTS)
 
     def relative_speed(self, v: np.ndarray) -> np.ndarray:
-        """s of speeds v [m/s], -1 and 1 at the ends of the range, in the shape of v.
+        """Relative speed s of speeds v [m/s], in the shape of v. It is -1 and 1 at the ends of the speed
+        range.
 
-        s is linear in log(v + SLOW * highest speed): dynamics change with 1/v, most at low speed.
+        s is linear in log(v + SLOW * highest speed), because dynamics change with 1/v, and most at low speed.
         """
         low, high = self.speed_range
         slow = SLOW * high
@@ -116,10 +120,10 @@ class ErrorDomain:
         return (2 * place - first - last) / (last - first)
 
     def features(self, s: np.ndarray, a: np.ndarray) -> np.ndarray:
-        """(N, F) features of relative speed and amplitude.
+        """Features (N, F) of relative speed s (N,) and amplitude a (N,) [input unit].
 
-        Chebyshev's polynomials of s, hats h_i over log a, and s h_i; s and a (N,), a in the input's unit.
-        Beyond the outer knots the hats are constant.
+        They are Chebyshev polynomials of s, hat functions h_i of log a, and s h_i. Beyond the outer knots the
+        hat functions are constant.
         """
         place = np.log(np.maximum(a, self.lowest_knot) / self.lowest_knot) / np.log(AMPLITUDE_RATIO)
         knots = np.arange(AMPLITUDE_KNOTS)
@@ -127,7 +131,7 @@ class ErrorDomain:
         return np.column_stack([chebvander(s, SPEED_DEGREE), hats, s[:, None] * hats])
 
     def decimated(self, signals: np.ndarray) -> np.ndarray:
-        """Every ``decimation``-th sample of signals (m, N), low-passed without delay: (m, N')."""
+        """Every ``decimation``-th sample (m, N') of signals (m, N), after a low-pass filter without delay."""
         if self.decimation == 1:
             return signals
         half = 10 * self.decimation
@@ -136,7 +140,7 @@ class ErrorDomain:
         return oaconvolve(padded, low_pass[None], mode="valid", axes=1)[:, :: self.decimation]
 
     def amplitude(self, drive: Drive, model: NominalModel) -> np.ndarray:
-        """(N,) sqrt(2) times the rms of the first input about each sample [input unit]."""
+        """Amplitude (N,) of the first input near each sample, sqrt(2) times its rms [input unit]."""
         width = max(1, round(AMPLITUDE_WINDOW_S / self.Ts))
         square = uniform_filter1d((drive.u[:, 0] - model.input_offset[0]) ** 2, width, mode="nearest")
         return np.sqrt(2 * np.maximum(square, 0.0))

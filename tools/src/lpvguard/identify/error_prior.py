@@ -28,26 +28,28 @@ SIZES = {
 }
 """Medians of the hyperparameters.
 
-Sizes of the error at zero frequency by feature; power with which those of speed fall with the degree; size at
-the highest bin over that at zero frequency; direct part over the first lag; decay over the geometric mean of
-the bins' frequencies; deviations of drives and of groups, as sizes of the error at the highest bin.
+common, speed, amplitude and speed_amplitude are sizes of the error at zero frequency, by feature. speed_decay
+is the power with which the sizes for speed fall with the degree. dynamic is the ratio of the size at the
+highest bin to that at zero frequency. direct is the ratio of the direct part to the first lag. decay is
+relative to the geometric mean of the frequencies of the bins. All others are deviations of drives and of
+groups, as sizes of the error at the highest bin.
 """
 SPREAD = 1.0
-"""Standard deviation of the hyperparameters' logarithms."""
+"""Standard deviation of the logarithms of the hyperparameters."""
 IGNORANCE = 1.0
-"""Size of the error at the highest bin that no data speaks of; it falls with the square of the frequency."""
+"""Size, at the highest bin, of an error that no data inform. It falls with the square of the frequency."""
 IGNORANCE_DECAY = 1.0
-"""Power of 1 / k with which that size falls with the degree k - 1 of the polynomial of speed."""
+"""This size falls by this power of 1 / k for the polynomial of speed of degree k - 1."""
 AMPLITUDE_LENGTH = 1.0
-"""Distance over which errors at two amplitudes are alike [knots]."""
+"""Correlation length of the error over the amplitude [knots]."""
 JITTER = 1e-9
-"""Share of the largest variance that is added to a covariance before its root is taken."""
+"""Share of the largest variance that is added to a covariance before its root is computed."""
 STEP, CURVATURE_STEP = 1e-4, 0.05
-"""Steps of first and second derivatives by the logarithms of hyperparameters."""
+"""Steps of the first and second numerical derivatives by the logarithms of hyperparameters."""
 TOLERANCE = 1e-2
-"""Least gain of the log posterior that goes on with the search."""
+"""The search ends when the log posterior rises by less than this."""
 LARGEST = 4.0
-"""Logarithms of hyperparameters stay within so many SPREAD of their medians."""
+"""Logarithms of hyperparameters stay within this number of SPREAD of their medians."""
 
 
 @dataclass(frozen=True)
@@ -56,7 +58,8 @@ class PriorScales:
 
     Attributes
     ----------
-    common, deviation, ignorance : float, on all sizes of the common error, of deviations, of ignorance
+    common, deviation, ignorance : float
+        Factors on all sizes of the common error, of the deviations, and of the uninformed error.
     """
 
     common: float = 1.0
@@ -65,11 +68,11 @@ class PriorScales:
 
 
 USUAL = PriorScales()
-"""The prior as its constants have it."""
+"""The prior with its constants unchanged."""
 
 
 class ErrorPrior:
-    """Prior of the lag values of every feature, and of deviations of drives and groups.
+    """Prior of the lag values of every feature, and of the deviations of drives and groups.
 
     A hyperparameter vector holds logarithms of ratios to SIZES, in their order.
     """
@@ -81,12 +84,13 @@ class ErrorPrior:
 
     @cached_property
     def _centre(self) -> float:
-        """Geometric mean of the bins' frequencies times the step [rad]."""
+        """Geometric mean of the frequencies of the bins, times the step [rad]."""
         return float(np.exp(np.log(self.domain.omega).mean()) * self.domain.step_s)
 
     @cached_property
     def _ignorance(self) -> np.ndarray:
-        """(L, m) root of the covariance of second differences of white values at the unit lags."""
+        """Root (L, m) of the covariance of the uninformed error, of second differences of white values at
+        unit lags."""
         count = UNIT_LAGS[1] - UNIT_LAGS[0] - 1
         differences = np.zeros((len(self.domain.lags), count))
         for k in range(count):
@@ -96,12 +100,12 @@ class ErrorPrior:
 
     @cached_property
     def _alike_amplitudes(self) -> np.ndarray:
-        """(A, A) root of the covariance of errors at the knots of amplitude."""
+        """Root (A, A) of the covariance of errors at the knots of the amplitude."""
         knots = np.arange(AMPLITUDE_KNOTS)
         return _root_of(np.exp(-0.5 * ((knots[:, None] - knots) / AMPLITUDE_LENGTH) ** 2))
 
     def size(self, x: np.ndarray, name: str) -> float:
-        """Hyperparameter by name, of logarithms x (H,)."""
+        """Hyperparameter ``name`` from the logarithms x (H,)."""
         value = SIZES[name] * float(np.exp(x[self.names.index(name)]))
         if name in ("common", "speed", "amplitude", "speed_amplitude"):
             return value * self.scales.common
@@ -110,9 +114,9 @@ class ErrorPrior:
         )
 
     def root(self, x: np.ndarray) -> np.ndarray:
-        """(p, r) matrix whose product with its transpose is the covariance of the lag values of all features.
+        """Root (p, r) of the covariance of the lag values of all features, from the logarithms x (H,).
 
-        x : (H,) logarithms of hyperparameters.
+        The product of the root with its transpose is the covariance.
         """
         lags, lag = self.domain.lags, self._lag_root(x)
         speed = self.size(x, "speed") * np.arange(1.0, SPEED_DEGREE + 1) ** -self.size(x, "speed_decay")
@@ -129,7 +133,8 @@ class ErrorPrior:
         return np.hstack([out, ignorance])
 
     def _lag_root(self, x: np.ndarray) -> np.ndarray:
-        """(L, L + 1) root of the covariance over lags: a gain, and dynamics that vanish at zero frequency."""
+        """Root (L, L + 1) of the covariance over lags, of a gain and of dynamics that vanish at zero
+        frequency."""
         lags, rate = self.domain.lags, self.size(x, "decay") * self._centre
         far = np.maximum(np.abs(lags)[:, None], np.abs(lags))
         same_side = (lags < 0)[:, None] == (lags < 0)
@@ -138,21 +143,22 @@ class ErrorPrior:
         tuned += tuned.max() * self.size(x, "direct") ** 2 * np.outer(gain, gain)
         root = _root_of(tuned)
         steady = root.T @ self.domain.taps.sum(axis=1)
-        # Conditioned on a response of 0 at zero frequency.
+        # Condition on a response of 0 at zero frequency.
         root -= np.outer(root @ steady, steady) / (steady @ steady)
         highest = self.domain.response(self.domain.omega[-1:])[0]
         root *= self.size(x, "dynamic") / np.linalg.norm(highest @ root)
         return np.column_stack([gain, root])
 
     def deviation(self, x: np.ndarray, group: bool = False) -> np.ndarray:
-        """(DIRECTIONS,) variances of a drive's or, if so asked, a group's deviation, of logarithms x (H,)."""
+        """Variances (DIRECTIONS,) of the deviation of a drive or of a ``group``, from the logarithms x
+        (H,)."""
         prefix = "group_" if group else ""
         return np.array([self.size(x, f"{prefix}{n}") ** 2 for n in ("gain", "delay", "second")])
 
 
 @dataclass(frozen=True)
 class Posterior:
-    """Gaussian posterior of one output's lag values at fixed hyperparameters.
+    """Gaussian posterior of the lag values of one output for fixed hyperparameters.
 
     Attributes
     ----------
@@ -167,7 +173,7 @@ class Posterior:
 
 
 class OutputSums:
-    """Sums of one output, ready for any hyperparameters."""
+    """Sums of one output, from which the posterior for any hyperparameters follows."""
 
     def __init__(self, sums: ErrorSums, output: int):
         self.gram, self.cross = sums.gram[output], sums.cross[output]
@@ -184,11 +190,11 @@ class OutputSums:
 
         Parameters
         ----------
-        drive, group : (DIRECTIONS,) variances; ``group`` None where drives name no groups.
+        drive, group : (DIRECTIONS,) variances; ``group`` is None where drives have no groups.
 
         Returns
         -------
-        gram (p, p), cross (p,), and what the deviations add to the log likelihood.
+        gram (p, p), cross (p,), and the term of the deviations in the log likelihood.
         """
         U, c, A = self.drive_gram, self.drive_cross, self.own
         gram, cross, logs = self._without(self.gram, self.cross, U, c, A, drive)
@@ -215,14 +221,15 @@ class OutputSums:
         return gram - flat.T @ flat, cross - flat.T @ inner.ravel(), gain - 0.5 * float(sizes.sum())
 
     def posterior(self, prior: ErrorPrior, x: np.ndarray) -> Posterior:
-        """Posterior under hyperparameters of logarithms x (H,)."""
+        """Posterior for hyperparameters with the logarithms x (H,)."""
         return self._solved(prior, x)[0]
 
     def evidence_slope(self, prior: ErrorPrior, x: np.ndarray) -> tuple[float, np.ndarray]:
         """Logarithm of the marginal likelihood and its derivatives (H,) by the logarithms x (H,).
 
-        R is the prior's root, m and P are posterior mean and covariance, S and c are the reduced sums. The
-        logarithm of the likelihood's part of deviations is l. A change by dR, dS, dc and dl changes it by
+        R is the root of the prior. m and P are the posterior mean and covariance. S and c are the reduced
+        sums. l is the term of the deviations in the log likelihood. Changes dR, dS, dc and dl change the
+        logarithm by
 
             (c - S m)' dR w - tr(M^-1 R' S dR) + m' dc - m' dS m / 2 - tr(P dS) / 2 + dl,   m = R w
         """
@@ -267,12 +274,12 @@ class OutputSums:
 
 
 def _root_of(covariance: np.ndarray) -> np.ndarray:
-    """(n, n) lower triangular root of a covariance (n, n), with JITTER of its largest variance added."""
+    """Lower triangular root (n, n) of a covariance (n, n), after JITTER of its largest variance is added."""
     return np.linalg.cholesky(covariance + JITTER * covariance.max() * np.eye(len(covariance)))
 
 
 def _inner(A: np.ndarray, variance: np.ndarray) -> np.ndarray:
-    """(D, 3, 3) inverse of the precision of deviations with products A (D, 3, 3) and variances (3,)."""
+    """Posterior covariance (D, 3, 3) of deviations with products A (D, 3, 3) and prior variances (3,)."""
     return np.linalg.inv(np.diag(1 / variance) + A)
 
 
@@ -290,7 +297,7 @@ class Hyperparameters:
     root: np.ndarray
 
     def draws(self, count: int, random: np.random.Generator) -> np.ndarray:
-        """(count, H) draws; the first is the most probable one."""
+        """Draws (count, H) of the logarithms. The first draw is the most probable value."""
         normal = random.standard_normal((count, len(self.x)))
         normal[0] = 0.0
         limit = LARGEST * SPREAD
@@ -298,7 +305,7 @@ class Hyperparameters:
 
 
 def hyperparameters(prior: ErrorPrior, sums: OutputSums) -> Hyperparameters:
-    """Maximum of marginal likelihood times prior, with Laplace's covariance."""
+    """Hyperparameters with the largest posterior probability, and their covariance by Laplace's method."""
     n, limit = len(prior.names), LARGEST * SPREAD
 
     def loss(x: np.ndarray) -> tuple[float, np.ndarray]:

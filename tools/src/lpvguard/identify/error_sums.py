@@ -1,9 +1,10 @@
-"""Sums of a drive for the regularised model error model: all that is kept of it (THEORY 7.15).
+"""Sums of a drive for the regularised model error model (THEORY 7.15). No other data of a drive are kept.
 
-Drives are passed over twice: first for the gain, delay and second difference that all share, then for these
-sums. Signals of a drive are decimated and whitened by the drive's own autoregression of its residue. Offsets
-that are constant and linear in speed are projected out. Sums of drives add. What a drive deviates by is kept
-a drive, in three directions, so memory is a few kilobytes a drive.
+Two passes read the drives. The first estimates the gain, delay and second difference that all drives share.
+The second computes these sums. The signals of a drive are decimated, and an autoregression of the residue of
+this drive whitens them. Offsets that are constant or linear in speed are projected out. The sums of several
+drives are added. Only the products with the deviation of a drive, in three directions, are kept for each
+drive. The memory is therefore a few kilobytes for each drive.
 """
 
 from __future__ import annotations
@@ -21,21 +22,23 @@ from ..vehicle.nominal import NominalModel
 from .error_domain import ErrorDomain
 
 NOISE_ORDER = 12
-"""Order of the autoregression that whitens a drive's residue."""
+"""Order of the autoregression that whitens the residue of a drive."""
 DIRECTIONS = 3
-"""Directions in which drives deviate: gain, delay and second difference."""
+"""Number of directions in which drives deviate: gain, delay and second difference."""
 COMMON = 2 * DIRECTIONS
-"""Number of their parts that all drives share: constant and linear in relative speed."""
+"""Number of common parameters of all drives: each direction has a constant part and one linear in relative
+speed."""
 LEAST_OFFSET = 1e-6
-"""Singular value over the largest, below which an offset is no direction of its own."""
+"""Offsets with a smaller singular value, relative to the largest, are dropped."""
 SPEED_CELLS, AMPLITUDE_CELLS_PER_KNOT = 16, 4
-"""Cells of the histogram of counted samples: over the speed range, and between knots of amplitude."""
+"""Number of cells of the histogram of counted samples: over the speed range, and between two knots of the
+amplitude."""
 
 
 def deviations(domain: ErrorDomain) -> np.ndarray:
     """Compute the lag values of a unit gain, delay and second difference.
 
-    Each has the frequency response of size 1 at the highest bin: 1, -j sin(w T) and 2 cos(w T) - 2, scaled.
+    Their frequency responses are 1, -j sin(w T) and 2 cos(w T) - 2, each scaled to size 1 at the highest bin.
 
     Parameters
     ----------
@@ -56,19 +59,19 @@ def deviations(domain: ErrorDomain) -> np.ndarray:
 
 @dataclass(frozen=True)
 class ErrorSums:
-    """Whitened sums over D drives, of every output.
+    """Sums of whitened signals over D drives, for every output.
 
     Attributes
     ----------
-    gram : (n_y, p, p) products of regressors over noise variance.
+    gram : (n_y, p, p) products of regressors, divided by the noise variance.
     cross : (n_y, p) products of regressors and error.
     square : (n_y,) sums of squares of the error.
     samples : (n_y,) counted samples.
-    drive_gram : (D, n_y, p, 3) products of regressors and a drive's signals of deviation.
-    drive_cross : (D, n_y, 3) products of error and signals of deviation.
-    drive_own : (D, n_y, 3, 3) products of signals of deviation.
-    histogram : (S, A) counted steps by cells of speed and log amplitude.
-    groups : (D,) names of the drives' groups.
+    drive_gram : (D, n_y, p, 3) products of regressors and deviation signals of a drive.
+    drive_cross : (D, n_y, 3) products of the error and the deviation signals.
+    drive_own : (D, n_y, 3, 3) products of the deviation signals.
+    histogram : (S, A) numbers of counted steps in cells of speed and log amplitude.
+    groups : (D,) names of the groups of the drives.
     """
 
     gram: np.ndarray
@@ -82,7 +85,7 @@ class ErrorSums:
     groups: tuple[str, ...]
 
     def plus(self, other: ErrorSums) -> ErrorSums:
-        """Sums over the drives of both, these first."""
+        """Sums over the drives of both, in this order."""
         return joined([self, other])
 
 
@@ -125,8 +128,10 @@ def sum_of(arrays: list[np.ndarray]) -> np.ndarray:
 
 
 def noise_filter(residue: np.ndarray, counted: np.ndarray) -> tuple[np.ndarray, float]:
-    """Prediction-error filter (NOISE_ORDER + 1,) of a residue (N,) over the samples that count, and the
-    variance of what it leaves."""
+    """Prediction-error filter (NOISE_ORDER + 1,) of a residue (N,), and the variance of the filtered residue.
+
+    Only the ``counted`` samples are used.
+    """
     x = np.where(counted, residue, 0.0)
     count = max(1, int(counted.sum()))
     lags = np.array([x[: len(x) - k] @ x[k:] for k in range(NOISE_ORDER + 1)]) / count
@@ -138,22 +143,25 @@ def noise_filter(residue: np.ndarray, counted: np.ndarray) -> tuple[np.ndarray, 
 def projected_input(
     domain: ErrorDomain, yhat: np.ndarray, instrument: np.ndarray, s: np.ndarray
 ) -> np.ndarray:
-    """(N,) part of the nominal output that follows an instrument: first stage of two-stage least squares.
-    yhat, instrument and relative speed s are decimated, (N,)."""
+    """Part (N,) of the nominal output that an instrument predicts, the first stage of two-stage least
+    squares.
+
+    yhat, instrument and relative speed s are decimated signals (N,).
+    """
     lagged = lagged_signals(domain, instrument - instrument.mean())
     X = np.column_stack([np.ones_like(s), s, lagged, s[:, None] * lagged])
     return X @ np.linalg.lstsq(X, yhat, rcond=1e-10)[0]
 
 
 def lagged_signals(domain: ErrorDomain, x: np.ndarray) -> np.ndarray:
-    """(N, L) signal x (N,) through the taps of every knot of the lag; zero outside of the drive."""
+    """Signals (N, L): x (N,) filtered by the taps of every knot of the lag. x is zero outside the drive."""
     ahead = -int(domain.lags[0])
     longer = np.r_[x, np.zeros(ahead)]
     return np.column_stack([lfilter(row, [1.0], longer)[ahead:] for row in domain.taps])
 
 
 def counted_samples(domain: ErrorDomain, inside: np.ndarray) -> np.ndarray:
-    """(N,) bool: every lag and the whitening filter stay within samples that are ``inside`` (N,) bool."""
+    """Mask (N,) of samples whose lags and whitening filter use only samples that are ``inside`` (N,) bool."""
     before = domain.taps.shape[1] + int(domain.lags[0]) + NOISE_ORDER
     ahead = -int(domain.lags[0])
     total = np.r_[0, np.cumsum(inside)]
@@ -166,8 +174,11 @@ def counted_samples(domain: ErrorDomain, inside: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class _Counted:
-    """Decimated signals of a drive: error and nominal output, or what of it follows the instrument, (n_y, N);
-    relative speed and amplitude (N,); which samples count (N,) bool."""
+    """Decimated signals of a drive, with the mask ``counted`` (N,).
+
+    They are the error and the nominal output (n_y, N), and the relative speed s and the amplitude (N,). With
+    an instrument, the part that it predicts replaces the nominal output.
+    """
 
     error: np.ndarray
     nominal: np.ndarray
@@ -185,7 +196,7 @@ class _Counted:
         e: np.ndarray,
         yhat: np.ndarray,
     ) -> _Counted:
-        """Those of a drive; e and yhat (N, n_y) in the outputs' units."""
+        """Signals of a drive, from e and yhat (N, n_y) in output units."""
         n_y = e.shape[1]
         outside = [] if drive.instrument is None else [drive.instrument]
         signals = domain.decimated(np.vstack([e.T, yhat.T, drive.v, *outside]))
@@ -200,17 +211,18 @@ class _Counted:
         return cls(signals[:n_y], nominal, s, amplitude, counted)
 
     def by_speed(self, domain: ErrorDomain, output: int) -> np.ndarray:
-        """(N, COMMON) gain, delay and second difference of the nominal output, constant and linear in s."""
+        """Regressors (N, COMMON) of gain, delay and second difference, each constant and linear in s."""
         own = lagged_signals(domain, self.nominal[output]) @ deviations(domain)
         return np.column_stack([own, self.s[:, None] * own])
 
     def whitened(
         self, output: int, by_speed: np.ndarray, signals: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
-        """Counted samples of error (n,) and signals (n, m), whitened, and a basis (n, 0 to 2) of offsets.
+        """Whitened error (n,) and signals (n, m) at the counted samples, and a basis (n, 0 to 2) of the
+        offsets.
 
-        The noise has unit variance. The residue is that of the drive's own ``by_speed`` (N, COMMON). None
-        where the nominal output or the residue is silent.
+        Their noise has unit variance. The residue is that of a fit of ``by_speed`` (N, COMMON) to this drive.
+        The result is None where the nominal output or the residue is zero.
         """
         ones = np.column_stack([np.ones_like(self.s), self.s])
         X, e, counted = np.column_stack([by_speed, ones]), self.error[output], self.counted
@@ -229,7 +241,7 @@ class _Counted:
 
 
 def _without(basis: np.ndarray, x: np.ndarray) -> np.ndarray:
-    """x (n, ...) with its projection on an orthonormal basis (n, m) taken off."""
+    """x (n, ...) without its projection on an orthonormal basis (n, m)."""
     return x - basis @ (basis.T @ x)
 
 
@@ -249,7 +261,7 @@ def common_products(
     model : NominalModel
     estimator : Estimator
     drive : Drive
-    e, yhat : ndarray (N, n_y), in the outputs' units
+    e, yhat : ndarray (N, n_y), output units
 
     Returns
     -------
@@ -268,7 +280,7 @@ def common_products(
 
 
 def common_fit(products: np.ndarray) -> np.ndarray:
-    """Fit gain, delay and second difference that all drives share, constant and linear in s.
+    """Fit the common gain, delay and second difference of all drives, each constant and linear in s.
 
     Parameters
     ----------
@@ -293,9 +305,9 @@ def error_sums(
 ) -> ErrorSums:
     """Compute the sums of one drive.
 
-    A drive deviates by a factor on the vehicle's response. Signals of deviation therefore come from the
-    nominal output and the error that all drives share. If they came from a drive's own error, that error
-    would explain itself.
+    The deviation of a drive is a factor on the response of the vehicle. The deviation signals are therefore
+    computed from the nominal output and the common error of all drives. With the error of the drive itself
+    they would explain any error.
 
     Parameters
     ----------
@@ -303,9 +315,9 @@ def error_sums(
     model : NominalModel
     estimator : Estimator
     drive : Drive
-    e, yhat : ndarray (N, n_y), in the outputs' units
-    group : str, the drive's group
-    common : ndarray (n_y, COMMON), by `common_fit`
+    e, yhat : ndarray (N, n_y), output units
+    group : str, group of the drive
+    common : ndarray (n_y, COMMON), result of `common_fit`
 
     Returns
     -------
@@ -343,7 +355,7 @@ def error_sums(
 
 
 def _histogram(domain: ErrorDomain, s: np.ndarray, a: np.ndarray) -> np.ndarray:
-    """(S, A) counts by cells of relative speed s (n,) and log amplitude a (n,)."""
+    """Counts (S, A) in cells of relative speed s (n,) and log amplitude a (n,)."""
     speed = np.clip(((s + 1) / 2 * SPEED_CELLS).astype(int), 0, SPEED_CELLS - 1)
     knots = domain.amplitude_knots
     cells = AMPLITUDE_CELLS_PER_KNOT * (len(knots) - 1)

@@ -12,7 +12,7 @@ from .isolation_table import isolation_table, parts_header
 def export_vehicle(
     stored: StoredIdentification, target: Path, controller: ControllerCoefficients | None = None
 ) -> None:
-    """Write the generated folder of an identification, whole or not at all.
+    """Write the generated folder of an identification, either completely or not at all.
 
     Parameters
     ----------
@@ -23,7 +23,7 @@ def export_vehicle(
     Raises
     ------
     InputError
-        If the folder may not be replaced, or a part does not fit.
+        If the folder may not be replaced, or a part is not valid.
     """
     coefficients, manifest = stored.coefficients, stored.manifest
     bound_setting = [manifest["sha256"][name] for name in manifest["drives"]["bounds"]]

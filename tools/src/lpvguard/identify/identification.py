@@ -2,27 +2,28 @@
 
 Writes a folder with
 
-    bounds.json       bounds per bin (bounds.py), the drives that set them, and the estimator's window error
-    front.json        Pareto front nu(gamma_w) per bin, and the chosen point on it
-    model_error.json  the part of the error that follows the input, with its standard error, of the drives
-                      that set the bounds and of those that judge them (model_error.py)
-    weights.json      W_w per output and W_delta with their certificates, and the final inflation
+    bounds.json       bounds in each bin (bounds.py) and the window error of the estimator
+    front.json        Pareto front nu(gamma_w) in each bin, and the chosen point on it
+    model_error.json  the part of the error that the input explains, with its standard error, for the drives
+                      that set the bounds and for those that judge them (model_error.py)
+    weights.json      W_w of each output and W_delta with their certificates, and the final inflation
     calibration.json  scores, threshold, alpha
-    energy.json       energy test: filters, certificate, sigma, scores, threshold (energy.py); Hann frames
-    only
-    change.json       change test: sizes, scores, threshold (change.py); Hann frames only
-    pools.json        bounds of pools of frames, and the remainders they rest on (pools.py); Hann frames only
-    diagnosis.json    scales of the diagnosis of alarms (diagnosis.py); Hann frames only
-    isolation.json    scales that name a part (isolation.py); with [isolation] only
-    visibility.json   smallest visible gain and delay errors, at typical and at the strongest excitation met
-    spectra.npz       E, Z and mean speed of frames of the bound-setting drives, thinned, for the pictures and
-                      step 8's trade-offs
-    project.json      the project file as it was
-    MANIFEST.json     inputs, drives, estimator, and the seal of all of it (base/artefacts.py)
+    energy.json       energy test: filters, certificate, sigma, scores, threshold (energy.py); only with Hann
+                      frames
+    change.json       change test: sizes, scores, threshold (change.py); only with Hann frames
+    pools.json        bounds of pools of frames, and the remainders behind them (pools.py); only with Hann
+                      frames
+    diagnosis.json scales of the diagnosis of alarms (diagnosis.py); only with Hann frames isolation.json
+    scales of the search for the faulty part (isolation.py); only with [isolation] visibility.json smallest
+    visible gain and delay errors, at typical and at the strongest excitation spectra.npz E, Z and mean speed
+    of a sample of the frames of the bound-setting drives, for the pictures
+                      and the trade-offs of step 8
+    project.json      copy of the project file
+    MANIFEST.json     inputs, drives, estimator, and the seal of the folder (base/artefacts.py)
 
-Every pass is one map over the drives (base/parallel.py) whose results are joined on arrival. Memory does
-not grow with the number of drives, except for kept samples (KEPT_BYTES of passes.py). Neither the
-number of workers nor the order of the drives changes a bit of the bounds.
+Every pass maps a function over the drives (base/parallel.py) and joins its results as they arrive. Memory
+does not grow with the number of drives, except for kept samples (KEPT_BYTES of passes.py). The bounds do not
+depend on the number of workers or the order of the drives, not even in the last bit.
 """
 
 from __future__ import annotations
@@ -72,7 +73,7 @@ from .window_error import window_error
 
 Result = TypeVar("Result")
 ISOLATION = "isolation.json"
-"""File of the scales that name a part, in folders of `identify` and `export`."""
+"""File of the isolation scales in folders of `identify` and `export`."""
 
 
 def _quiet(_: str) -> None:
@@ -81,7 +82,7 @@ def _quiet(_: str) -> None:
 
 @dataclass(frozen=True)
 class Identification:
-    """Result of identify; the module's docstring lists the files.
+    """Result of identify. The docstring of the module lists the files.
 
     Attributes
     ----------
@@ -130,19 +131,19 @@ class Identification:
 
 
 def _of_commands(drives: DriveSet, setting: list[Experiment], parts: list[Part]) -> Part:
-    """Joined parts of the bound-setting drives for W_C; InputError when there is none."""
+    """Joined parts of the bound-setting drives for W_C. Raises InputError when there is no such drive."""
     splits = drives.reader.project.data.command_splits
     chosen = [p for e, p in zip(setting, parts, strict=True) if e.split in splits]
     if not chosen:
         raise drives.index_error(
-            f"no drive has split {' or '.join(splits)}, of data.command_split",
-            "at least one drive whose input is a command as in use",
+            f"no drive has split {' or '.join(splits)}, from data.command_split",
+            "at least one drive whose input is a usual command",
         )
     return fold(chosen)
 
 
 def _ceiling(project: Project, estimator: Estimator, error: ModelError) -> np.ndarray:
-    """(K,) ceiling on nu at the bins, 0 at DC: the project's, or what the drives' model error asks for."""
+    """Ceiling (K,) on nu at the bins, 0 at DC: that of the project, or else the band of the model error."""
     stated = project.bounds.nu_ceiling
     if stated is None:
         return error.at_bins(estimator).max(axis=1)
@@ -152,8 +153,11 @@ def _ceiling(project: Project, estimator: Estimator, error: ModelError) -> np.nd
 def _weighted(
     run: OverDrives, chosen: Chosen, error: ModelError, first: Part, noise: np.ndarray, command: np.ndarray
 ) -> tuple[Bounds, Weights]:
-    """Steps 4 to 7: bounds and weights. ``first``: of the bound-setting drives; ``noise`` (K, n_y) and
-    ``command`` (K,): peaks."""
+    """Bounds and weights of steps 4 to 7.
+
+    ``first`` is the joined part of the bound-setting drives. ``noise`` (K, n_y) and ``command`` (K,) are
+    peaks.
+    """
     project, estimator = run.reader.project, run.reader.estimator
     gamma_w = fit_bound(project, estimator, first["gamma_rule"], "gamma_w", smallest_disturbance(first["B2"]))
     smooth = gamma_w.magnitude(estimator.omega)
@@ -166,7 +170,8 @@ def _weighted(
         weights = fit_weights(project, estimator, bounds, *rest)
         return bounds, replace(weights, healthy=healthy(*weights.at(estimator.omega)))
     own = healthy(np.column_stack([w.magnitude(estimator.omega) for w in W_delta]))
-    # The certificate's set contains the healthy one: what refutes it leaves that.
+    # The set of the certificate must contain the healthy set, so that its refutation implies leaving the
+    # latter.
     bounds = replace(bounds, B_w=np.fmax(bounds.B_w, own.B_w))
     weights = fit_weights(project, estimator, bounds, *rest)
     weights = with_healthy(project, estimator, weights, own, run.workers)
@@ -186,7 +191,7 @@ def identify(
     Parameters
     ----------
     project : Project
-    folder : Path, drives with experiments.csv
+    folder : Path, folder with the drives and experiments.csv
     workers : Map
     progress : Callable, reports progress
     without : Collection[str], drives to leave out, default ()
@@ -198,7 +203,7 @@ def identify(
     Raises
     ------
     InputError
-        If an input does not fit, no bound-setting drive has a frame, or nothing calibrates.
+        If an input is not valid, no bound-setting drive has a frame, or no drive calibrates.
 
     References
     ----------
@@ -283,7 +288,7 @@ def save(result: Identification, drives: DriveSet, target: Path) -> None:
     Parameters
     ----------
     result : Identification
-    drives : DriveSet, the identification's drives
+    drives : DriveSet, drives of the identification
     target : Path, new folder
 
     Raises
@@ -340,7 +345,7 @@ def save(result: Identification, drives: DriveSet, target: Path) -> None:
 
 @dataclass(frozen=True)
 class StoredIdentification:
-    """Identification folder as read back.
+    """Identification that was read from its folder.
 
     Attributes
     ----------
@@ -349,7 +354,7 @@ class StoredIdentification:
     project : Project
     model : NominalModel, of the project
     estimator : Estimator, of the project's frames
-    bounds, front : dict of ndarray, by name, of bounds.json and front.json
+    bounds, front : dict of ndarray, contents of bounds.json and front.json by name
     weights : dict
     fitted : Weights
     calibration : Calibration
@@ -382,7 +387,7 @@ class StoredIdentification:
 
     @cached_property
     def coefficients(self) -> Coefficients:
-        """Coefficients of the core; InputError for bounds of an estimator that the core does not compute."""
+        """Coefficients of the core. Raises InputError for an estimator that the core does not support."""
         threshold = self.calibration.exported
         return coefficients_of(
             self.project,
@@ -396,7 +401,8 @@ class StoredIdentification:
         )
 
     def of_group(self, group: str) -> StoredIdentification:
-        """The identification with thresholds of all tests for a group; InputError where no drive is of it."""
+        """The identification with the thresholds of a group. Raises InputError where no drive belongs to
+        it."""
         known = sorted(self.calibration.groups)
         if group not in known:
             raise InputError(
@@ -413,14 +419,14 @@ class StoredIdentification:
 
     @property
     def energy_of_core(self) -> EnergyTest:
-        """The energy test; InputError for bounds of an estimator that the core does not compute."""
+        """The energy test. Raises InputError for an estimator that the core does not support."""
         if self.energy is None:
             raise not_for_the_core(self.project)
         return self.energy
 
     @property
     def change_of_core(self) -> ChangeTest:
-        """The change test; InputError for bounds of an estimator that the core does not compute."""
+        """The change test. Raises InputError for an estimator that the core does not support."""
         if self.change is None:
             raise not_for_the_core(self.project)
         return self.change
@@ -440,7 +446,7 @@ def load(folder: Path) -> StoredIdentification:
     Raises
     ------
     InputError
-        If a file does not fit or was changed, or a certificate fails.
+        If a file is not valid or was changed, or a certificate fails.
     """
     folder = Path(folder)
     manifest = artefacts.read_manifest(folder, "identify")
@@ -461,16 +467,16 @@ def load(folder: Path) -> StoredIdentification:
             folder / artefacts.MANIFEST,
             "estimator_id",
             f"{manifest.get('estimator_id')}",
-            f"{estimator.identifier()}, the estimator that project.json describes",
+            f"{estimator.identifier()}, the estimator of project.json",
         )
     weights, fitted = read("weights", lambda document, where: (document, Weights.from_dict(document, where)))
     energy = change = diagnosis = pools = isolation = None
     if estimator.window == "hann":
         energy = read("energy", energy_filters(project, estimator, fitted).restored)
         change = read("change", ChangeTest.design(project).restored)
-        if (folder / "pools.json").is_file():  # an identification of before has none
+        if (folder / "pools.json").is_file():  # older identifications have none
             pools = read("pools", lambda document, _: Pools.from_dict(document))
-        if (folder / "diagnosis.json").is_file():  # an identification of before has none
+        if (folder / "diagnosis.json").is_file():  # older identifications have none
             diagnosis = read("diagnosis", lambda document, _: DiagnosisScales.restored(project, document))
     if (folder / ISOLATION).is_file():
         isolation = read("isolation", lambda document, _: Isolation.from_dict(document))

@@ -1,10 +1,11 @@
-"""Which part differs: redundant outputs of one nominal model (THEORY 7.21).
+"""Isolation of the faulty part, by redundant outputs of one nominal model (THEORY 7.21).
 
-Every part changes the errors e = y - yhat of all outputs in its own way. The columns of a part are these
-changes, simulated. A sensor of an output has gain, delay and bias, that of an input gain, delay and offset.
-The speed has a factor, and so have the model's parameters that tyres and load change. Healthy drives have
-sizes of all columns of N(mean, spread^2) and a joint vector autoregressive residue. A faulty part has sizes
-of a much larger spread. Bayes' rule with equal odds names the parts; where several remain, all are named.
+Each part changes the errors e = y - yhat of all outputs in a characteristic way. The columns of a part are
+its simulated changes. The sensor of an output has gain, delay and bias. The sensor of an input has gain,
+delay and offset. The speed sensor has a factor, and so has each model parameter that tyres and load change.
+In healthy drives the size of each column has the distribution N(mean, spread^2), and the residue is a vector
+autoregression. The sizes of a faulty part have a much larger spread. Bayes' rule with equal odds selects the
+faulty part. Where several parts remain possible, all are named.
 """
 
 from __future__ import annotations
@@ -27,46 +28,47 @@ from ..vehicle.nominal import NominalModel
 from ..vehicle.project import Project
 
 HALF_S = 0.1
-"""Samples are averaged over blocks of two halves of about this length [s]."""
+"""Length of half a block [s]. Samples are averaged over blocks."""
 LAGS = 3
-"""Lags of the residue's vector autoregression."""
+"""Number of lags in the vector autoregression of the residue."""
 DELAYS, FACTOR = (1, 2, 4), 0.02
-"""Sizes of the columns' changes: delays in halves of a block, between which a delay is interpolated, and a
-factor minus 1."""
+"""Sizes of the simulated changes. Delays are in halves of a block, and other delays are interpolated. FACTOR
+is a factor minus 1."""
 FAULT = {"gain": 0.3, "delay": 0.2, "bias": 0.5, "offset": 0.5, "factor": 0.1, "parameter": 0.4}
-"""Spread of a faulty size: of bias and offset in standard deviations of the signal, of a delay in s."""
+"""Spread of a faulty size. It is in s for a delay, and in standard deviations of the signal for bias and
+offset."""
 SURE = 0.95
-"""Probability that the named parts have together."""
+"""Least total probability of the named parts."""
 ALIKE = 2 * float(np.log(SURE / (1 - SURE)))
-"""Misfit beside the likeliest part below which the data alone do not exclude a part."""
+"""A part is also named if its misfit exceeds that of the most likely part by less than this."""
 NEEDED = 19.0
-"""Likelihood ratio, twice its log, with which 95 % of windows leave one part of two: x - 2 sqrt(x) 1.64 is
-twice the log of SURE / (1 - SURE)."""
+"""Twice the log likelihood ratio x with which 95 % of windows decide between two parts. It solves x - 2
+sqrt(x) 1.64 = 2 log(SURE / (1 - SURE))."""
 ODDS = float(np.log(1000.0))
-"""Log-odds beyond those of all healthy windows with which a window differs."""
+"""A window differs if its log-odds exceed those of all healthy windows by this number."""
 LONGEST_S = 36_000.0
-"""Longest driving after which a part may be told [s]."""
+"""Longest driving time in the table of times to isolation [s]."""
 UNEXPLAINED = 0.05
-"""Share of the evidence that a single part may leave: large faults exceed their linear changes."""
+"""Share of the evidence that a single part may leave unexplained, because large faults are not linear."""
 VEHICLE = "vehicle"
 """Part of tyres, load and the rest of the vehicle."""
 FOLDS = 5
-"""Folds of drives, of which each is judged by the others."""
+"""Number of folds of drives. Each fold is judged by the others."""
 ROUNDS = 60
-"""Rounds of expectation and maximisation."""
+"""Number of rounds of expectation and maximisation."""
 
 
 @dataclass(frozen=True)
 class PartColumn:
-    """Change of the errors by one size of a part.
+    """Change of the errors by a unit size of one change of a part.
 
     Attributes
     ----------
     part : str
-    kind : str, of FAULT
-    what : str, in words
-    unit : str, of a size
-    place : int, index of output, input or parameter; 0 for the speed
+    kind : str, a key of FAULT
+    what : str, name of the change
+    unit : str, unit of a size
+    place : int, index of the output, input or parameter, 0 for the speed
     fault : float, spread of a faulty size [unit]
     """
 
@@ -83,9 +85,9 @@ def columns_of(project: Project, spread_u: np.ndarray, spread_y: np.ndarray) -> 
 
     Parameters
     ----------
-    project : Project, with ``isolation``
-    spread_u : ndarray (n_u,), standard deviations of the inputs in drives
-    spread_y : ndarray (n_y,), likewise of the outputs
+    project : Project, must have ``isolation``
+    spread_u : ndarray (n_u,), standard deviations of the inputs in the drives
+    spread_y : ndarray (n_y,), standard deviations of the outputs in the drives
 
     Returns
     -------
@@ -114,7 +116,7 @@ def columns_of(project: Project, spread_u: np.ndarray, spread_y: np.ndarray) -> 
 
 
 class Changes:
-    """Simulates the columns of a project's parts along drives.
+    """Simulates the columns of all parts of a project along drives.
 
     Parameters
     ----------
@@ -135,9 +137,9 @@ class Changes:
         self.step, self.ahead = 2 * self.half, max(DELAYS) * self.half
 
     def along(self, drive: Drive) -> tuple[np.ndarray, np.ndarray]:
-        """Errors (N, n_y), and their change by a unit size of every column (N, n_y, m).
+        """Errors (N, n_y), and their change (N, n_y, m) by a unit size of every column.
 
-        The core has the same columns: a delay of an input shifts the response to it in time.
+        The core has the same columns. A delay of an input shifts the response to this input in time.
         """
         project, model, simulate = self.project, self.model, self.model.simulate
         v, u, first = drive.v, drive.u, drive.y[0]
@@ -165,11 +167,12 @@ class Changes:
         return drive.y - yhat, np.stack(responses, axis=-1)
 
     def blocks(self, drive: Drive, from_s: float = 0.0, to_s: float = np.inf) -> Iterator[np.ndarray]:
-        """Means (B, n_y, 1 + m) of errors and changes over blocks, stretch by stretch of settled driving.
+        """Yield the means (B, n_y, 1 + m) of errors and changes over the blocks of each stretch of settled
+        driving.
 
-        Blocks follow each other from the drive's first sample, and from that after a gap, as in the core.
-        Those count that lie between ``from_s`` and ``to_s`` after the first sample, and ``ahead`` samples
-        from both ends, which their columns need.
+        Blocks follow each other from the first sample of the drive, and from the first sample after a gap, as
+        in the core. A block counts if it lies between ``from_s`` and ``to_s`` after the first sample. It must
+        also lie ``ahead`` samples from both ends, because its columns need these samples.
         """
         t, step = drive.t - drive.t[0] + self.project.Ts_s / 2, self.step
         present = np.ones(len(t), bool) if drive.missing is None else ~drive.missing
@@ -193,13 +196,13 @@ def _delayed(x: np.ndarray, lag: int) -> np.ndarray:
 
 @dataclass(frozen=True)
 class WindowSums:
-    """Whitened sums over a window.
+    """Sums of whitened products over a window.
 
     Attributes
     ----------
-    G : ndarray (m, m), of changes
-    g : ndarray (m,), of changes and errors
-    count : int, blocks
+    G : ndarray (m, m), products of changes
+    g : ndarray (m,), products of changes and errors
+    count : int, number of blocks
     """
 
     G: np.ndarray
@@ -211,18 +214,20 @@ class WindowSums:
 
 
 def residual_structure(project: Project) -> dict[str, list[str]]:
-    """Residuals that every part changes: errors of outputs, and differences of redundant outputs' errors.
+    """List the residuals that each part changes: errors of outputs, and their differences for redundant
+    outputs.
 
-    Redundant are outputs with the same row of C. An output's sensor changes what holds the output. Inputs and
-    vehicle leave every difference, and the speed leaves those of outputs with equal powers of it.
+    Outputs are redundant if they have the same row of C. The sensor of an output changes every residual with
+    this output. Inputs and vehicle change no difference. The speed changes the difference of outputs with
+    unequal powers of the speed.
 
     Parameters
     ----------
-    project : Project, with ``isolation``
+    project : Project, must have ``isolation``
 
     Returns
     -------
-    dict[str, list of str], names of residuals by part
+    dict[str, list of str], names of the residuals that each part changes
     """
     settings = project.isolation
     assert settings is not None
@@ -245,13 +250,12 @@ def residual_structure(project: Project) -> dict[str, list[str]]:
 
 
 def told_apart(structure: dict[str, list[str]], part: str, other: str) -> bool:
-    """Return whether a residual that one part leaves alone is changed by another.
+    """Return whether ``part`` changes a residual that ``other`` does not change.
 
     Parameters
     ----------
-    structure : dict[str, list of str], of `residual_structure`
-    part : str, changes the residual
-    other : str, leaves it alone
+    structure : dict[str, list of str], result of `residual_structure`
+    part, other : str, names of parts
 
     Returns
     -------
@@ -262,9 +266,10 @@ def told_apart(structure: dict[str, list[str]], part: str, other: str) -> bool:
 
 @dataclass(frozen=True)
 class Moments:
-    """Moments of a healthy drive: ``spread`` (n_u + n_y,) of its signals, and products of its residue.
+    """Moments of a healthy drive.
 
-    ``products`` ((LAGS + 1) n_y + 1 squared) are those of LAGS lags, of the newest value and of 1.
+    ``spread`` (n_u + n_y,) holds the standard deviations of its signals. ``products`` has (LAGS + 1) n_y + 1
+    rows and columns. It holds the products of the residue at LAGS lags, its newest value and 1.
     """
 
     spread: np.ndarray
@@ -272,7 +277,7 @@ class Moments:
 
 
 def moments_of(changes: Changes, drive: Drive) -> Moments:
-    """Sum the moments of a drive without what its columns explain.
+    """Compute the moments of a drive. The residue is the part of the errors that the columns do not explain.
 
     Parameters
     ----------
@@ -299,7 +304,7 @@ def moments_of(changes: Changes, drive: Drive) -> Moments:
 
 
 def evidence_windows(changes: Changes, isolation: Isolation, drive: Drive) -> list[WindowSums]:
-    """Sum the evidence of each whole window of a drive.
+    """Compute the sums of each complete window of a drive.
 
     Parameters
     ----------
@@ -321,16 +326,17 @@ def evidence_windows(changes: Changes, isolation: Isolation, drive: Drive) -> li
 
 @dataclass(frozen=True)
 class PartFinding:
-    """Parts that a window names.
+    """Parts that explain a window.
 
     Attributes
     ----------
-    parts : tuple of str, the likeliest first; empty where nothing differs or no single part explains it
+    parts : tuple of str, the most likely part first
+        It is empty where nothing differs or no single part explains the window.
     probability : dict[str, float], by part
-    differs : bool, the window does not agree with a healthy vehicle
-    what : str, the largest size of the likeliest part in words, "" without a part
-    value, low, high : float or None, that size and its 95 % interval
-    unit : str, of the size
+    differs : bool, whether the window contradicts a healthy vehicle
+    what : str, name of the most significant change of the most likely part, "" without a part
+    value, low, high : float or None, size of this change and its 95 % interval
+    unit : str, unit of the size
     """
 
     parts: tuple[str, ...]
@@ -347,7 +353,7 @@ class PartFinding:
         if not self.differs:
             return "no part differs"
         if not self.parts:
-            return "no single part explains it"
+            return "no single part explains the difference"
         if len(self.parts) > 1:
             return f"one of {', '.join(self.parts)}"
         unit = f" {self.unit}" if self.unit else ""
@@ -356,18 +362,18 @@ class PartFinding:
 
 @dataclass(frozen=True)
 class Isolation:
-    """Scales of healthy drives, with which a window names parts.
+    """Scales of healthy drives, by which the parts that explain a window are found.
 
     Attributes
     ----------
     columns : list of PartColumn
-    mean, spread : ndarray (m,), of healthy sizes
-    A : ndarray (LAGS, n_y, n_y), of the residue's autoregression
+    mean, spread : ndarray (m,), mean and standard deviation of healthy sizes
+    A : ndarray (LAGS, n_y, n_y), autoregression of the residue
     S : ndarray (n_y, n_y), covariance of its innovation
-    scale : float, by which likelihoods are divided, so that healthy windows agree
-    least : float, evidence against a healthy vehicle that no healthy window exceeds
-    lack : float, misfit of the best part beside all parts that no healthy window exceeds
-    per_s : ndarray (m, m), sums G of a second of usual driving
+    scale : float, divisor of log-likelihoods that makes healthy windows consistent
+    least : float, limit of the evidence against a healthy vehicle
+    lack : float, largest lack of fit of a single part over healthy windows
+    per_s : ndarray (m, m), sums G for one second of usual driving
     window_s : float, length of the windows [s]
     """
 
@@ -390,7 +396,7 @@ class Isolation:
 
     @classmethod
     def begun(cls, changes: Changes, moments: Sequence[Moments], window_s: float) -> Isolation:
-        """Columns and residue from the moments of healthy drives; `finished` adds the rest."""
+        """Scales with columns and residue from the moments of healthy drives. `finished` adds the rest."""
         project = changes.project
         spread = np.mean([x.spread for x in moments], axis=0)
         columns = columns_of(project, spread[: project.n_u], spread[project.n_u :])
@@ -399,10 +405,10 @@ class Isolation:
         return cls(columns, np.zeros(m), np.ones(m), A, S, 1.0, 0.0, 0.0, np.zeros((m, m)), window_s)
 
     def finished(self, windows: Sequence[Sequence[WindowSums]]) -> Isolation:
-        """With the sizes and limits of healthy drives, from the windows of each.
+        """Complete scales, with the sizes and limits of healthy drives, from the windows of each drive.
 
-        The limits are those of windows that are judged by the sizes of other drives, of all but a fold.
-        Raises InputError without a whole window.
+        For the limits, the sizes of all other folds judge the windows of each fold. Raises InputError without
+        a complete window.
         """
         drives = [list(drive_windows) for drive_windows in windows if drive_windows]
         every = [w for drive_windows in drives for w in drive_windows]
@@ -410,7 +416,7 @@ class Isolation:
             raise InputError(
                 "isolation",
                 "window_s",
-                f"no drive holds {self.window_s:g} s of settled driving without a gap",
+                f"no drive has {self.window_s:g} s of settled driving without a gap",
                 "longer drives or a shorter window",
             )
         per_s = np.mean([w.G for w in every], axis=0) / self.window_s
@@ -425,26 +431,26 @@ class Isolation:
         return made._limited(judged)
 
     def _without(self, drives: list[list[WindowSums]], folds: int) -> Iterator[Isolation]:
-        """Scales with the sizes of all drives but those of each fold; none of a single drive."""
+        """Yield for each fold the scales with the sizes of all other drives; nothing for a single drive."""
         for k in range(folds if folds > 1 else 0):
             yield self._with_sizes(
                 [drive_windows for i, drive_windows in enumerate(drives) if i % folds != k]
             )
 
     def _with_sizes(self, drives: list[list[WindowSums]]) -> Isolation:
-        """With the sizes of a further drive, as Student's t of so many drives predicts them."""
+        """Scales with the sizes of a further drive, predicted by Student's t for this number of drives."""
         mean, spread = _healthy_sizes([reduce(add, drive_windows) for drive_windows in drives], self.faulty)
         wider = float(student.ppf(0.975, max(1, len(drives) - 1))) / 1.96 * np.sqrt(1 + 1 / len(drives))
         return replace(self, mean=mean, spread=wider * spread)
 
     def _excess(self, w: WindowSums) -> float:
-        """Square of a window's distance from a healthy vehicle over its expectation."""
+        """Squared distance of a window from a healthy vehicle, relative to its expected value."""
         b = w.g - w.G @ self.mean
         expected = w.G + w.G @ np.diag(self.spread**2) @ w.G
         return float(b @ np.linalg.pinv(expected) @ b) / len(b)
 
     def _limited(self, judged: list[tuple[Isolation, WindowSums]]) -> Isolation:
-        """With the scale and limits of healthy windows, each with the scales that judge it."""
+        """Scales with the scale and limits of healthy windows, each paired with the scales that judge it."""
         scale = max(1.0, float(np.mean([judge._excess(w) for judge, w in judged])))
         against, lacks = [0.0], [0.0]
         for judge, w in judged:
@@ -455,7 +461,7 @@ class Isolation:
         return replace(self, scale=scale, least=max(against) + ODDS, lack=max(lacks))
 
     def to_dict(self) -> dict:
-        """JSON-able, for `from_dict`, with the tables of `isolable` and `told_after`."""
+        """Convert to JSON types, with the tables of `isolable` and `told_after`."""
         fields = {f.name: getattr(self, f.name) for f in dataclass_fields(self)}
         fields["columns"] = [vars(c) for c in self.columns]
         for name, table in (("isolable", self.isolable()), ("told_after_s", self.told_after())):
@@ -467,7 +473,7 @@ class Isolation:
 
     @classmethod
     def from_dict(cls, data: dict) -> Isolation:
-        """Read back."""
+        """Scales from the result of `to_dict`."""
         mean, spread, A, S, per_s = (np.array(data[k], float) for k in ("mean", "spread", "A", "S", "per_s"))
         scale, least, lack, window_s = (float(data[k]) for k in ("scale", "least", "lack", "window_s"))
         columns = [PartColumn(**c) for c in data["columns"]]
@@ -475,20 +481,20 @@ class Isolation:
 
     @property
     def faulty(self) -> np.ndarray:
-        """Spreads (m,) of faulty sizes."""
+        """Standard deviations (m,) of faulty sizes."""
         return np.array([c.fault for c in self.columns])
 
     @cached_property
     def parts(self) -> list[str]:
-        """Parts in the order of the columns."""
+        """Names of the parts in the order of the columns."""
         return list(dict.fromkeys(c.part for c in self.columns))
 
     def of_part(self, part: str) -> np.ndarray:
-        """Columns (m,) of bool of a part."""
+        """Mask (m,) of the columns of a part."""
         return np.array([c.part == part for c in self.columns])
 
     def evidence(self, stretches: Sequence[np.ndarray]) -> WindowSums:
-        """Whitened sums of stretches of blocks (B, n_y, 1 + m)."""
+        """Sums of whitened products over stretches of blocks (B, n_y, 1 + m)."""
         m = len(self.columns)
         total = WindowSums(np.zeros((m, m)), np.zeros(m), 0)
         root = np.linalg.cholesky(np.linalg.inv(self.S))
@@ -504,7 +510,8 @@ class Isolation:
         return total
 
     def _explained(self, w: WindowSums, spread: np.ndarray) -> tuple[float, np.ndarray]:
-        """Squares of a window that sizes of a ``spread`` (m,) explain, and the matrix (m, m) behind it."""
+        """Sum of squares of a window that sizes with a ``spread`` (m,) explain, and the matrix (m, m) of its
+        equation."""
         b = spread * (w.g - w.G @ self.mean)
         inner = np.eye(len(b)) + (spread[:, None] * w.G) * spread
         return float(b @ np.linalg.solve(inner, b)), inner
@@ -523,13 +530,13 @@ class Isolation:
         return np.where(free, self._all_freed, self.spread)
 
     def fits(self, w: WindowSums) -> dict[str, float]:
-        """Log-likelihood of a window by faulty part; "" is the healthy vehicle."""
+        """Log-likelihood of a window for each faulty part, and with the key "" for the healthy vehicle."""
         return {"": self.log_likelihood(w, self.spread)} | {
             part: self.log_likelihood(w, self._freed(part)) for part in self.parts
         }
 
     def _lack(self, w: WindowSums) -> float:
-        """Misfit of the best part beside that of all parts at once."""
+        """Lack of fit of a single part: the misfit of the best part less that of all parts together."""
         best = max(self.parts, key=lambda part: self.log_likelihood(w, self._freed(part)))
         return self._misfit(w, self._freed(best)) - self._misfit(w, self._all_freed)
 
@@ -537,9 +544,10 @@ class Isolation:
         return -self._explained(w, spread)[0] / self.scale
 
     def name(self, w: WindowSums, alarmed: bool = False) -> PartFinding:
-        """Name the parts that a window differs in.
+        """Name the parts that explain a window.
 
-        ``alarmed``: a test said that it differs, so that any odds against a healthy vehicle will do.
+        With ``alarmed`` a test has already shown a difference. Any odds against a healthy vehicle then are
+        enough.
         """
         fits = self.fits(w)
         healthy = fits.pop("")
@@ -562,10 +570,10 @@ class Isolation:
         return PartFinding(parts, probability, True, *self._size(w, parts[0]))
 
     def _likelier_pair(self, w: WindowSums, part: str) -> tuple[str, ...]:
-        """The two other parts that a fault of ``part`` does not exclude; empty without any.
+        """The two other parts that together remain possible beside a fault of ``part``, or an empty tuple.
 
-        A second fault has the odds of the first, as in ODDS. Two at once are excluded where they have less
-        than 1 - SURE of the probability.
+        A second fault has the same odds as the first, see ODDS. Two faults together are excluded where their
+        probability is below 1 - SURE.
         """
         least = self.log_likelihood(w, self._freed(part)) + ODDS - ALIKE / 2
         pairs = {
@@ -576,7 +584,7 @@ class Isolation:
         return best if best and pairs[best] > least else ()
 
     def _size(self, w: WindowSums, part: str) -> tuple[str, float, float, float, str]:
-        """Words, value and 95 % interval of the surest size of a part, and its unit."""
+        """Name, value and 95 % interval of the most significant size of a part, and its unit."""
         spread = self._freed(part)
         V = np.linalg.inv(w.G / self.scale + np.diag(1 / spread**2))
         sizes = V @ (w.g - w.G @ self.mean) / self.scale
@@ -589,10 +597,12 @@ class Isolation:
         return what, value, value - half, value + half, unit
 
     def isolable_rows(self, project: Project) -> Iterator[dict[str, str]]:
-        """Rows of the table of isolability in words: the size, then the least one told from each part.
+        """Rows of the table of isolability: a change, then its least size that is distinguished from each
+        part.
 
-        A star marks parts that are told apart by structure, a dash that no size tells them apart. The last
-        two columns are a usual fault and the driving that tells it from every other part.
+        A star marks parts that differ in structure. A dash means that no size can be distinguished. The last
+        two columns are the size of a usual fault, and the driving time that distinguishes it from every other
+        part.
         """
         structure, after = residual_structure(project), self.told_after()
         column_of = {c.what: c for c in self.columns}
@@ -611,23 +621,23 @@ class Isolation:
             yield shown
 
     def isolable(self, seconds: float | None = None) -> dict[str, dict[str, float]]:
-        """Least size of every column with which a window of usual driving tells its part from each other one.
+        """Least size of every column that a window of usual driving distinguishes from each other part.
 
-        Infinite where no size does. "" is the healthy vehicle.
+        It is inf where no size can be distinguished. The key "" is the healthy vehicle.
         """
         return self._table(
             lambda k, other: self._least(k, other, self.window_s if seconds is None else seconds)
         )
 
     def told_after(self) -> dict[str, dict[str, float]]:
-        """Usual driving [s] with which a fault of the usual size is told, by column and part as `isolable`.
+        """Time [s] of usual driving that distinguishes a usual fault of every column from each other part.
 
-        Infinite where more than LONGEST_S does not.
+        It is inf where LONGEST_S is not enough. The keys are those of `isolable`.
         """
         return self._table(self._seconds)
 
     def _table(self, entry: Callable[[int, str], float]) -> dict[str, dict[str, float]]:
-        """Entries by column and other part; "" is the healthy vehicle."""
+        """Entries by column and other part. The key "" is the healthy vehicle."""
         table: dict[str, dict[str, float]] = {}
         for k, column in enumerate(self.columns):
             others = ["", *(part for part in self.parts if part != column.part)]
@@ -636,14 +646,15 @@ class Isolation:
         return table
 
     def _least(self, k: int, other: str, seconds: float) -> float:
-        """Least size of column ``k`` that so much usual driving tells from a part."""
+        """Least size of column ``k`` that ``seconds`` of usual driving distinguish from a part."""
         G = self.per_s * seconds / self.scale
         spread = self.spread if not other else self._freed(other)
         left = float(G[k, k] - G[k] @ np.linalg.solve(np.diag(1 / spread**2) + G, G[:, k]))
         return float(np.sqrt(NEEDED / left)) if left > 1e-9 * G[k, k] else float("inf")
 
     def _seconds(self, k: int, other: str) -> float:
-        """Usual driving [s] with which the usual fault of column ``k`` is told from a part, within 5 %."""
+        """Time [s] of usual driving that distinguishes a usual fault of column ``k`` from a part, within 5
+        %."""
         size, short, long = self.columns[k].fault, 1.0, LONGEST_S
         if self._least(k, other, long) > size:
             return float("inf")

@@ -1,4 +1,4 @@
-"""Scales that name a part, in the core's form (isolation.h), and the header with the parts' names."""
+"""Isolation scales in the form of the core (isolation.h), and the header with the names of the parts."""
 
 from __future__ import annotations
 
@@ -11,21 +11,21 @@ from ..vehicle.project import Project
 from .isolation import Changes, Isolation
 
 MOST_PARAMETERS = 2
-"""Parameters of the vehicle that the core has room for."""
+"""Largest number of vehicle parameters in the core."""
 
 
 class IsolationTable(Sealed):
-    """The scales in the core's form."""
+    """The isolation scales in the form of the core."""
 
     LAYOUT = ISOLATION
 
 
 def isolation_table(project: Project, isolation: Isolation) -> IsolationTable:
-    """Put scales into the core's form.
+    """Convert isolation scales to the form of the core.
 
     Parameters
     ----------
-    project : Project, with ``isolation``
+    project : Project, must have ``isolation``
     isolation : Isolation
 
     Returns
@@ -82,7 +82,7 @@ def isolation_table(project: Project, isolation: Isolation) -> IsolationTable:
 
 
 def parts_header(project: Project, isolation: Isolation) -> str:
-    """Write the header with the bits of the parts, and with their names.
+    """Write the header with the names of the parts and sizes.
 
     Parameters
     ----------
@@ -105,7 +105,7 @@ def parts_header(project: Project, isolation: Isolation) -> str:
 
 
 def size_names(isolation: Isolation) -> list[str]:
-    """Names of the sizes in the core's order.
+    """List the names of the sizes in the order of the core.
 
     Parameters
     ----------
@@ -113,6 +113,6 @@ def size_names(isolation: Isolation) -> list[str]:
 
     Returns
     -------
-    list of str, as `PartColumn.what`
+    list of str, values of `PartColumn.what`
     """
     return list(dict.fromkeys(c.what for c in isolation.columns))

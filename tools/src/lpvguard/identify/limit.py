@@ -1,4 +1,5 @@
-"""Limit of detection: the smallest gain error that a test sees which knows the vehicle (T55; THEORY 7.19)."""
+"""Limit of detection: the smallest gain error that a test with full knowledge of the vehicle sees (T55;
+THEORY 7.19)."""
 
 from __future__ import annotations
 
@@ -17,9 +18,9 @@ class LimitSums:
 
     Attributes
     ----------
-    drives : ndarray, drives with two frames or more
-    freedom : ndarray, their frames less one each
-    residue : ndarray, sum of |E - d Z|^2, d the drive's own [output units squared]
+    drives : ndarray, number of drives with at least two frames
+    freedom : ndarray, sum over these drives of the number of frames less one
+    residue : ndarray, sum of |E - d Z|^2 with the d of each drive [output units squared]
     power, power_squared : ndarray, sums of P and P^2 over drives, P = sum of |Z|^2
     along, along_squared : ndarray, sums of P Re(d) and P Re(d)^2
     """
@@ -36,7 +37,7 @@ class LimitSums:
     def from_frames(
         cls, frames: Iterable[tuple[np.ndarray, FrameSet]], shape: tuple[int, int, int]
     ) -> LimitSums:
-        """Sums of a drive, from the speed cell (F,) of each frame and its frames, one set a bin."""
+        """Sums of a drive, from its frames, one set for each bin, with the speed cell (F,) of each frame."""
         count = np.zeros(shape[:2])
         power, squares, along = np.zeros(shape), np.zeros(shape), np.zeros(shape, complex)
         for cell, s in frames:
@@ -57,7 +58,8 @@ class LimitSums:
         return cls(*(np.sum(x, axis=0) for x in zip(*(vars(p).values() for p in parts), strict=True)))
 
     def spread(self) -> tuple[np.ndarray, np.ndarray]:
-        """Disturbance S [output units squared] and variance of drives' gains (C, K, n_y), NaN unknown."""
+        """Disturbance S [output units squared] and variance of the gains of drives (C, K, n_y), NaN if
+        unknown."""
         with np.errstate(divide="ignore", invalid="ignore"):
             S = self.residue / self.freedom
             Q = 2 / S * (self.along_squared - self.along**2 / self.power)
@@ -66,18 +68,19 @@ class LimitSums:
         return np.where(known, S, np.nan), np.where(known, np.maximum(between, 0.0), np.nan)
 
     def quantile(self, alpha: float, drives: int, held: np.ndarray) -> float:
-        """Normal quantile of one look among all looks of a drive, which alarm with probability ``alpha``.
+        """Normal quantile of one look, such that any look of a drive alarms with probability ``alpha``.
 
-        A look is a pool of ``held`` (K,) frames, in one output and to one side.
+        A look is a pool of ``held`` (K,) frames of one output, for errors of one sign.
         """
         frames = (self.freedom + self.drives).sum(axis=(0, 2))
         looks = max(1.0, 2 * float((frames / held).sum()) / drives)
         return float(norm.isf(-np.expm1(np.log1p(-alpha) / looks)))
 
     def gain_error(self, quantile: float, cell: np.ndarray, k: np.ndarray, size: np.ndarray) -> np.ndarray:
-        """Smallest visible gain error (F,) in pools of ``size`` sqrt(P) (F, n_y), by speed cell and bin (F,).
+        """Smallest visible gain error (F,) in pools with sqrt(P) = ``size`` (F, n_y), by speed cell and bin
+        ``k`` (F,).
 
-        NaN where fewer than two drives tell of the disturbance.
+        It is NaN where fewer than two drives inform about the disturbance.
         """
         S, between = (x[cell, k] for x in self.spread())
         with np.errstate(divide="ignore"):

@@ -1,9 +1,12 @@
-"""Model error model (T30 to T33; THEORY 7.6): the part of the nominal error that follows the input, with its
-standard error. Its frames are not the monitor's.
+"""Model error model (T30 to T33; THEORY 7.6): the part of the nominal error that the input explains, with its
+standard error.
 
-Length: sums over frames, lines over pools of cells and the bound are one estimator, read together. Only sums
-over frames are kept of a drive. Drives are added in the order of their names, so the result does not depend
-on their order in a folder.
+Its frames differ from those of the monitor. Only sums over the frames of a drive are kept. Drives are added
+in the order of their names, so the result does not depend on their order in a folder.
+
+The module is long because its three steps form one estimator: sums over frames, lines over pools of cells,
+and the bound.
+
 """
 
 from __future__ import annotations
@@ -31,55 +34,58 @@ from .error_sums import ErrorSums, joined
 from .passes import DriveReader
 
 PERIODS = (4, 8, 16, 32)
-"""Lengths of frames; each doubles the one before."""
+"""Lengths of frames in periods. Each length is twice the previous one."""
 AR_ORDER, AR_FLOOR = 8, 1e-6
-"""Order of the whitening filter, and the white share that limits its gain to 60 dB."""
+"""Order of the whitening filter, and the share of white noise that limits its gain to 60 dB."""
 STEP = 10 ** (1 / 12)
 """Approximate distance between frequencies of the grid."""
 SILENT = 2
-"""Highest frequencies of the grid at which a design assumes 1 + rho: it knows nothing beyond them."""
+"""Number of the highest grid frequencies at which a design assumes 1 + rho, as if no drive informed there."""
 HIGHEST = 0.2
-"""End of the grid, as a share of the sampling rate."""
+"""Highest frequency of the grid, as a share of the sampling rate."""
 HELD = 0.8
-"""Highest frequency of a band, as a share of the Nyquist frequency of decimated signals."""
+"""Highest frequency of a band, as a share of the Nyquist frequency of the decimated signals."""
 FEWEST_FRAMES = 8
 """A cell with fewer independent frames is pooled with its neighbour."""
 LEAST_FRAMES, FEW_LEVEL = 3.0, 1e-4
-"""Fewest frames in the pool of all cells, and the level of the F distribution for fewer than
+"""Least number of frames in the pool of all cells, and the level of the F distribution for fewer than
 FEWEST_FRAMES."""
 INDEPENDENT = 1 / 1.056
-"""Independent frames per Hann frame at half overlap."""
+"""Number of independent frames per Hann frame with half overlap."""
 LEVEL = 0.05
 """1 - simultaneous confidence of all estimates."""
 FOLDS = 64
-"""Groups of drives with separate sums, for leave-one-out; up to that many drives each is a group."""
+"""Largest number of groups of drives with separate sums, for leave-one-out. Up to this number each drive is a
+group."""
 LEAST_SPREAD = 0.01
-"""Least standard deviation of speeds for a line, as a share of half the speed range."""
+"""Least standard deviation of the speeds for a fitted slope, as a share of half the speed range."""
 LACK_OF_FIT = 1e-3
-"""Level at which a cell's own line refutes that of a wider pool. A false refutation costs only precision."""
+"""Level of the test that rejects a pool because the line of one cell differs. A false rejection costs only
+precision."""
 ENDS = np.sqrt(3)
-"""Standard deviations from the mean to the ends of evenly spread speeds, where the line is read."""
+"""A line is evaluated at this number of standard deviations from the mean, the ends of uniformly distributed
+speeds."""
 TINY = 1e-300
 NEARLY_SINGULAR = 1e-6
-"""Determinant of a matrix over the sum of its squared entries: below it the inverse loses half the digits."""
+"""A 2 x 2 matrix is nearly singular if |determinant| / sum of squared entries is below this. Its inverse
+loses half the digits."""
 POWERS = 5
-"""Number of powers of s, from 0 on, that weight sums over frames."""
+"""Number of powers of s, from 0 on, in the sums over frames."""
 BIASED = (
     "delta_c is the least-squares estimate from the nominal output; a driver who steers against disturbances "
-    "biases it, and no column was named that excites from outside"
+    "biases it, because no column with an external excitation is named"
 )
-INSTRUMENTAL = "delta_c is the instrumental estimate from the named column, which excites from outside"
+INSTRUMENTAL = "delta_c is the instrumental estimate from the named column with an external excitation"
 """``claim`` of model_error.json, without and with an instrument."""
-ASSUMED = "no reason stated: the vehicle is taken to respond no more than the model"
-"""``reason`` of an output that the project does not mention: rho is 1."""
+ASSUMED = "no reason stated: assumed that the vehicle responds no more than the model"
+"""``reason`` of an output without a rho in the project, for which rho is 1."""
 
 
 @dataclass(frozen=True)
 class ErrorGrid:
-    """Grid of the estimate.
+    """Grid of the estimate: frequencies ``omega`` (G,) [rad/s], and edges of the speed and amplitude cells.
 
-    It has frequencies ``omega`` (G,) [rad/s], ``speed_edges`` (C + 1,) [m/s] and ``amplitude_edges`` (A - 1,)
-    [input unit].
+    The edges are ``speed_edges`` (C + 1,) [m/s] and ``amplitude_edges`` (A - 1,) [input unit].
     """
 
     Ts: float
@@ -89,10 +95,11 @@ class ErrorGrid:
 
     @classmethod
     def from_project(cls, project: Project, estimator: Estimator) -> ErrorGrid:
-        """The bins, points between distant ones, and STEP by STEP beyond them up to HIGHEST."""
+        """Grid of the bins, of points between distant bins, and of points with the ratio STEP from there to
+        HIGHEST."""
         bins = estimator.omega[estimator.cycles > 0]
         kept = [bins[0]]
-        for omega in bins[1:]:  # lines of the plain DFT lie denser than needed
+        for omega in bins[1:]:  # lines of the plain DFT are denser than needed
             if omega >= kept[-1] * STEP * (1 - 1e-3):
                 kept.append(omega)
         points = [
@@ -116,18 +123,18 @@ class ErrorGrid:
         return len(self.speed_edges) - 1, len(self.amplitude_edges) + 1
 
     def relative(self, v: np.ndarray) -> np.ndarray:
-        """s, in the shape of the speeds v [m/s]."""
+        """Relative speed s, -1 to 1 over the range, in the shape of the speeds v [m/s]."""
         low, high = self.speed_edges[[0, -1]]
         return (v - 0.5 * (low + high)) / (0.5 * (high - low))
 
     def speed(self, s: np.ndarray) -> np.ndarray:
-        """Speeds [m/s] of s, in the shape of s."""
+        """Speeds [m/s] of relative speeds s, in the shape of s."""
         low, high = self.speed_edges[[0, -1]]
         return 0.5 * (low + high) + 0.5 * (high - low) * s
 
 
 class Sums(NamedTuple):
-    """Sums over frames, (G, P, n_y, C, A, ...).
+    """Sums over frames, (G, P, n_y, C, A, ...), with the relative speed s and R, the instrument or else Z.
 
     - ``ee`` sums |E|^2, and ``fourth`` sums |R|^4.
     - ``ze``, ``re`` (..., 2) sum s^k conj(Z) E and s^k conj(R) E.
@@ -148,7 +155,7 @@ class Sums(NamedTuple):
 
     @classmethod
     def none(cls, grid: ErrorGrid, n_y: int) -> Sums:
-        """Sums of no frame."""
+        """Sums without frames, all 0."""
         shape = (len(grid.omega), len(PERIODS), n_y, *grid.cells)
         return cls(
             fourth=np.zeros(shape),
@@ -167,9 +174,8 @@ class Sums(NamedTuple):
     def of_moments(cls, moments: np.ndarray) -> Sums:
         """Sums from moments (..., m, POWERS) of products times powers of s.
 
-        The products are |E|^2, conj(Z) E by its parts, |Z|^2, and |R|^2 times each; then, if R is not Z,
-        conj(R) E,
-        |R|^2, conj(R) Z and |R|^4.
+        The products are |E|^2, conj(Z) E (real and imaginary part), |Z|^2, and |R|^2 times each of these. If
+        R is not Z, conj(R) E, |R|^2, conj(R) Z and |R|^4 follow.
         """
 
         def real(row: int, powers: int) -> np.ndarray:
@@ -194,7 +200,7 @@ class Sums(NamedTuple):
 
     @property
     def independent(self) -> np.ndarray:
-        """Number of independent frames of the estimate, (sum |R|^2)^2 / sum |R|^4, reduced for overlap."""
+        """Effective number of independent frames, (sum |R|^2)^2 / sum |R|^4, reduced for overlap."""
         return INDEPENDENT * self.rr[..., 0] ** 2 / np.maximum(self.fourth, TINY)
 
     def plus(self, other: Sums) -> Sums:
@@ -203,8 +209,10 @@ class Sums(NamedTuple):
 
 
 def prediction_error_filter(x: np.ndarray) -> np.ndarray:
-    """Coefficients 1 + a_1 z^-1 + ... (AR_ORDER + 1,) that whiten x (N,): Yule-Walker with AR_FLOOR at lag
-    0."""
+    """Coefficients 1 + a_1 z^-1 + ... (AR_ORDER + 1,) of the filter that whitens x (N,).
+
+    They solve the Yule-Walker equations, with AR_FLOOR added at lag 0.
+    """
     x = x - x.mean()
     lags = np.array([x[: len(x) - k] @ x[k:] for k in range(AR_ORDER + 1)])
     if not lags[0] > 0:
@@ -222,9 +230,10 @@ def drive_sums(
     e: np.ndarray,
     yhat: np.ndarray,
 ) -> Sums:
-    """Sums of one drive over frames in which the first input's rms exceeds ``excited_std`` [input unit].
+    """Sums of one drive, over frames in which the rms of the first input exceeds ``excited_std`` [input
+    unit].
 
-    e, yhat (N, n_y) [output units].
+    e and yhat (N, n_y) are in output units.
     """
     settled = estimator.settled(drive.v)
     if settled.sum() < 2 * AR_ORDER:
@@ -273,9 +282,9 @@ def drive_sums(
 
 @lru_cache(maxsize=1024)
 def _kernel(angle: float, half: int) -> np.ndarray:
-    """Hann window times an exponential that turns by ``angle`` a sample, (half, 4), cached per process.
+    """Hann window times an exponential that turns by ``angle`` per sample, (half, 4), cached in each process.
 
-    The columns are real and imaginary part of the first half, and of the second.
+    The columns are the real and imaginary parts of the first half, and then those of the second half.
     """
     n = np.arange(2 * half)
     window = 0.5 - 0.5 * np.cos(2 * np.pi * n / len(n))
@@ -284,18 +293,19 @@ def _kernel(angle: float, half: int) -> np.ndarray:
 
 
 def _by_halves(signals: np.ndarray, kernel: np.ndarray) -> np.ndarray:
-    """Frames (m, N / h - 1) of signals (m, N) at every h-th start, by their ``kernel`` (h, 4).
+    """Frames (m, N / h - 1) of signals (m, N) that start every h samples, by their ``kernel`` (h, 4).
 
-    Each half frame is the second half of one frame and the first of the next, and is computed once for both.
+    Each half frame is the second half of one frame and the first half of the next. It is computed once for
+    both.
     """
     sums = signals.reshape(len(signals), -1, len(kernel)) @ kernel
     return np.ascontiguousarray(sums[:, :-1, :2] + sums[:, 1:, 2:]).view(complex)[..., 0]
 
 
 class _Frames(NamedTuple):
-    """Counted frames of one drive, frequency and length ``at`` (g, p).
+    """Counted frames of one drive, one frequency and one length, whose indices are ``at`` (g, p).
 
-    Complex ``frames`` (m, F) are E, Z and, if Z is not R, R of every output in turn; speed and amplitude are
+    Complex ``frames`` (m, F) holds E, Z and, if R is not Z, R of each output in turn. speed and amplitude are
     (F,).
     """
 
@@ -306,7 +316,7 @@ class _Frames(NamedTuple):
 
 
 def _add(moments: np.ndarray, grid: ErrorGrid, frame_sets: list[_Frames]) -> None:
-    """Add frames to their cells of ``moments``; the order of frames in a cell stays."""
+    """Add frames to their cells of ``moments``. The order of the frames in a cell stays the same."""
     n_y = moments.shape[2]
     speed, amplitude = (
         np.concatenate([getattr(f, name) for f in frame_sets]) for name in ("speed", "amplitude")
@@ -327,7 +337,7 @@ def _add(moments: np.ndarray, grid: ErrorGrid, frame_sets: list[_Frames]) -> Non
 
 
 def _products(frames: np.ndarray) -> np.ndarray:
-    """(n_y, m, F) of frames (n_y, 3 or 2, F): as ``Sums.of_moments`` reads them."""
+    """Products (n_y, m, F) of frames (n_y, 3 or 2, F), in the order of ``Sums.of_moments``."""
     E, Z, R = np.moveaxis(frames, 1, 0)[[0, 1, -1]]
     EE, ZZ, ZE = np.abs(E) ** 2, np.abs(Z) ** 2, Z.conj() * E
     RR = ZZ if frames.shape[1] == 2 else np.abs(R) ** 2
@@ -339,16 +349,16 @@ def _products(frames: np.ndarray) -> np.ndarray:
 
 
 def model_error_pass(reader: DriveReader, grid: ErrorGrid, experiment: Experiment) -> Sums:
-    """The sums of one drive, read by a worker."""
+    """Sums of one drive, which a worker reads."""
     excited_std = reader.project.frame_test.excited_std
     return drive_sums(grid, reader.model, reader.estimator, excited_std, *reader.read(experiment))
 
 
 @dataclass(frozen=True)
 class ErrorEstimate:
-    """Estimates by (G, n_y, C, A) at the end of each cell's speeds with the largest |delta_c| + k se.
+    """Estimates (G, n_y, C, A) of every cell, at the speed of the cell with the largest |delta_c| + k se.
 
-    They are NaN without frames. Pooled cells hold the same.
+    They are NaN without frames. Pooled cells have equal estimates.
 
     Attributes
     ----------
@@ -357,7 +367,8 @@ class ErrorEstimate:
     v : ndarray (G, n_y, C, A), m/s
     n : ndarray (G, n_y, C, A), number of independent frames
     periods : ndarray (G, n_y, C, A), periods in a frame
-    moved : ndarray (G, n_y, C, A), standard errors of the change by doubled frames, inf: unknown
+    moved : ndarray (G, n_y, C, A)
+        Change by frames of twice the length, in standard errors, inf if unknown.
     coherent : ndarray (G, n_y, C, A), share of sum |E|^2 that delta_c Z explains
     """
 
@@ -371,7 +382,7 @@ class ErrorEstimate:
 
     @property
     def k(self) -> float:
-        """Factor of the simultaneous level: sqrt(ln(N/LEVEL)) for N complex estimates (T31); a pool counts
+        """Factor for the simultaneous level, sqrt(ln(N/LEVEL)) for N complex estimates (T31). A pool counts
         once."""
         estimates = self.se.reshape(-1, np.prod(self.se.shape[2:], dtype=int))
         N = sum(len(np.unique(row[np.isfinite(row)])) for row in estimates)
@@ -379,27 +390,28 @@ class ErrorEstimate:
 
     @property
     def upper(self) -> np.ndarray:
-        """|delta_c| + k se; inf without an estimate."""
+        """Upper bound |delta_c| + k se, inf without an estimate."""
         return np.where(np.isfinite(self.se), np.abs(self.delta) + self.k * self.se, np.inf)
 
     @property
     def lower(self) -> np.ndarray:
-        """|delta_c| - k se, at least 0; 0 without an estimate."""
+        """Lower bound |delta_c| - k se, at least 0, and 0 without an estimate."""
         return np.where(np.isfinite(self.se), np.maximum(np.abs(self.delta) - self.k * self.se, 0.0), 0.0)
 
     @property
     def tells(self) -> np.ndarray:
-        """(G, n_y): every cell would have refuted a vehicle that does not respond, k se < 1."""
+        """Mask (G, n_y) of informative frequencies: k se < 1 in all cells, so they refute a vehicle without
+        response."""
         return np.all(np.where(np.isfinite(self.se), self.k * self.se, np.inf) < 1, axis=(2, 3))
 
     def to_dict(self) -> dict:
-        """JSON-able, for `from_dict`; also k."""
+        """Convert to JSON types for `from_dict`, with k."""
         columns = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "delta"}
         return {"k": self.k, "delta_re": self.delta.real, "delta_im": self.delta.imag, **columns}
 
     @classmethod
     def from_dict(cls, data: dict) -> ErrorEstimate:
-        """Read back."""
+        """Estimate from the result of `to_dict`."""
         columns = {f.name: np.array(data[f.name], float) for f in fields(cls) if f.name != "delta"}
         columns["moved"] = np.where(np.isnan(columns["moved"]), np.inf, columns["moved"])
         re, im = (np.array(data[key], float) for key in ("delta_re", "delta_im"))
@@ -407,11 +419,11 @@ class ErrorEstimate:
 
     @classmethod
     def from_sums(cls, sums: Sums, grid: ErrorGrid) -> ErrorEstimate:
-        """Estimate from sums with the best length of frames.
+        """Estimate from sums, with the best length of frames.
 
-        Best are the lengths with the narrowest pool, among these that with the least standard error of the
-        converged ones. If none has converged, it is the one with the least change by doubling, in standard
-        errors.
+        The best length has the narrowest pool. Among lengths with equal pools, it is the converged length
+        with the least standard error. If none has converged, it is the length with the least change by
+        doubling, in standard errors.
         """
         pools = _pools(sums)
         pool = _chosen(pools)
@@ -424,7 +436,7 @@ class ErrorEstimate:
         enough = np.isfinite(se) & (fit.n >= LEAST_FRAMES)
         moved = np.full(se.shape, np.inf)
         for k, lines in enumerate(pools):
-            # The line of doubled frames over the same pool, at the same speed.
+            # The line of frames of twice the length, over the same pool and at the same speed.
             twice, spread = (x[..., 0] for x in lines.doubled().at(s[:, :-1, ..., None]))
             here = enough[:, :-1] & (pool[:, :-1] == k) & np.isfinite(spread)
             moved[:, :-1][here] = np.abs(delta[:, :-1] - twice)[here] / np.maximum(spread[here], TINY)
@@ -448,10 +460,10 @@ class ErrorEstimate:
 
 @dataclass(frozen=True)
 class _Lines:
-    """Lines a + b s of every cell, (G, P, n_y, C, A): theta (..., 2), covariance (..., 2, 2), and statistics.
+    """Lines a + b s of every cell (G, P, n_y, C, A): theta (..., 2), covariance (..., 2, 2), and statistics.
 
-    These are mean and standard deviation of the frames' s, independent frames n, and the residue's share of
-    sum |E|^2.
+    ``mean`` and ``spread`` are the mean and standard deviation of s over the frames. ``n`` is the number of
+    independent frames. ``residue`` is its share of sum |E|^2.
     """
 
     theta: np.ndarray
@@ -462,18 +474,18 @@ class _Lines:
     residue: np.ndarray
 
     def at(self, s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """delta_c and its standard error at s (..., m), in that shape."""
+        """delta_c and its standard error at s (..., m), in the shape of s."""
         row = np.stack([np.ones_like(s), s], axis=-1)
         square = np.einsum("...mi,...ij,...mj->...m", row, self.covariance, row).real
         return np.einsum("...mi,...i->...m", row, self.theta), np.sqrt(np.maximum(square, 0.0))
 
     def ends(self, deviations: float) -> np.ndarray:
-        """s (..., 2) so many standard deviations of the frames' s below and above their mean."""
+        """Relative speeds s (..., 2) that lie ``deviations`` standard deviations below and above the mean."""
         away = deviations * self.spread[..., None] * np.array([-1, 1])
         return np.clip(self.mean[..., None] + away, -1, 1)
 
     def worst_end(self) -> np.ndarray:
-        """s at the end of each cell's speeds with the larger |delta_c| + 3 se."""
+        """Relative speed s at the end of each cell with the larger |delta_c| + 3 se."""
         ends = self.ends(ENDS)
         delta, se = self.at(ends)
         size = np.abs(delta) + 3 * se
@@ -481,7 +493,7 @@ class _Lines:
         return np.take_along_axis(ends, end[..., None], -1)[..., 0]
 
     def replaced(self, where: np.ndarray, other: _Lines) -> _Lines:
-        """These lines, with the ``other`` ones at ``where`` (G, P, n_y, C, A)."""
+        """These lines, replaced by the ``other`` lines at ``where`` (G, P, n_y, C, A)."""
 
         def one(mine: np.ndarray, theirs: np.ndarray) -> np.ndarray:
             return np.where(where.reshape(*where.shape, *[1] * (mine.ndim - where.ndim)), theirs, mine)
@@ -489,26 +501,33 @@ class _Lines:
         return _Lines(*(one(getattr(self, f.name), getattr(other, f.name)) for f in fields(self)))
 
     def doubled(self) -> _Lines:
-        """Lines of frames twice as long, for all but the last of P."""
+        """Lines of frames of twice the length, for all but the last of the P lengths."""
         return _Lines(*(getattr(self, f.name)[:, 1:] for f in fields(self)))
 
 
 def _quantile(n: np.ndarray, level: float) -> np.ndarray:
-    """Standard errors that |delta - delta_c| exceeds with probability ``level``; n: independent frames.
+    """Number of standard errors that |delta - delta_c| exceeds with probability ``level``, for n independent
+    frames.
 
-    |delta - delta_c|^2 / se^2 follows F(2, 2 nu), nu = n - 2.
+    |delta - delta_c|^2 / se^2 has the distribution F(2, 2 nu) with nu = n - 2.
     """
     freedom = np.maximum(n - 2, 1.0)
     return np.sqrt(freedom * np.expm1(-np.log(level) / freedom))
 
 
 def _few(n: np.ndarray) -> np.ndarray:
-    """Factor on standard errors from n < FEWEST_FRAMES frames to the quantile of many; 1 elsewhere."""
+    """Factor that enlarges the standard errors of n < FEWEST_FRAMES frames, 1 elsewhere.
+
+    With it they have the same quantile as those of many frames.
+    """
     return np.where(n < FEWEST_FRAMES, _quantile(n, FEW_LEVEL) / np.sqrt(-np.log(FEW_LEVEL)), 1.0)
 
 
 def _fitted(s: Sums) -> _Lines:
-    """(Instrumental) least squares of every cell. Frames of one speed, or too few for a line, give b = 0."""
+    """Fit the line of every cell by (instrumental) least squares.
+
+    b is 0 where the frames have a single speed or are too few for a slope.
+    """
     n, weight = s.independent, np.maximum(s.rr[..., 0], TINY)
     mean = s.rr[..., 1] / weight
     spread = np.sqrt(np.maximum(s.rr[..., 2] / weight - mean**2, 0.0))
@@ -530,7 +549,7 @@ def _fitted(s: Sums) -> _Lines:
     theta = (inverse @ (s.re * keep)[..., None])[..., 0] * keep
     explained = np.einsum("...i,...ij,...j->...", theta.conj(), ZZ, theta).real
     residue = np.maximum(s.ee - 2 * (theta.conj() * s.ze).sum(axis=-1).real + explained, 0.0)
-    # White's covariance: the residue need not be as large in every frame. Overlapping frames count as fewer.
+    # White's covariance allows a residue of different size in each frame. Overlapping frames count as fewer.
     few = n / np.maximum(n - 1 - sloped, 1e-9) / INDEPENDENT
     covariance = inverse @ _scatter(s, theta) @ np.conj(np.swapaxes(inverse, -1, -2)) * few[..., None, None]
     covariance = covariance * keep[..., None] * keep[..., None, :]
@@ -539,7 +558,7 @@ def _fitted(s: Sums) -> _Lines:
 
 
 def _inverse(M: np.ndarray) -> np.ndarray:
-    """Inverses of M (..., 2, 2); pseudo-inverses of nearly singular ones."""
+    """Inverses of M (..., 2, 2), or pseudo-inverses where M is nearly singular."""
     det = M[..., 0, 0] * M[..., 1, 1] - M[..., 0, 1] * M[..., 1, 0]
     near = np.abs(det) <= NEARLY_SINGULAR * (np.abs(M) ** 2).sum(axis=(-2, -1))
     out = np.empty_like(M)
@@ -551,7 +570,7 @@ def _inverse(M: np.ndarray) -> np.ndarray:
 
 
 def _scatter(s: Sums, theta: np.ndarray) -> np.ndarray:
-    """(..., 2, 2): sum of |R|^2 |E - (a + b s) Z|^2 [1 s; s s^2] over frames, theta = (a, b)."""
+    """Sum (..., 2, 2) of |R|^2 |E - (a + b s) Z|^2 [1 s; s s^2] over the frames, with theta = (a, b)."""
     a, b = theta[..., 0, None], theta[..., 1, None]
     moments = (
         s.ree
@@ -560,17 +579,17 @@ def _scatter(s: Sums, theta: np.ndarray) -> np.ndarray:
         + 2 * (a.conj() * b).real * s.rzz[..., 1:4]
         + np.abs(b) ** 2 * s.rzz[..., 2:]
     )
-    # Rounding may leave an even moment below 0; that of s has either sign.
+    # Rounding may make an even moment negative. The moment of s may have either sign.
     moments[..., ::2] = np.maximum(moments[..., ::2], 0.0)
     return moments[..., np.add.outer(np.arange(2), np.arange(2))]
 
 
 def _joined(second: np.ndarray, fourth: np.ndarray) -> np.ndarray:
-    """Group (N, K), from 0 on, of each of K neighbours, joined until each group has FEWEST_FRAMES or one is
-    left.
+    """Number (N, K), from 0 on, of the group of each of K neighbouring classes.
 
-    ``second`` and ``fourth`` (N, K) are their sums of |R|^2 and |R|^4. The group with the fewest frames is
-    joined first, with the smaller of its neighbours.
+    Groups are joined until each has FEWEST_FRAMES or only one group remains. ``second`` and ``fourth`` (N, K)
+    are the sums of |R|^2 and |R|^4 of each class. The group with the fewest frames is joined first, with the
+    smaller of its neighbours.
     """
     every = np.arange(second.shape[1])
     groups = np.broadcast_to(every, second.shape)
@@ -587,7 +606,7 @@ def _joined(second: np.ndarray, fourth: np.ndarray) -> np.ndarray:
 
 
 def _shared(s: Sums, cells: int) -> Sums:
-    """Sums of every ``cells`` neighbouring speed cells, added and given to each."""
+    """Sums over groups of ``cells`` neighbouring speed cells. Each cell gets the sums of its group."""
 
     def one(field: np.ndarray) -> np.ndarray:
         shape = field.shape
@@ -598,9 +617,9 @@ def _shared(s: Sums, cells: int) -> Sums:
 
 
 def _classes_joined(s: Sums) -> Sums:
-    """Sums with each amplitude class replaced by those of its joined classes, where it has too few frames.
+    """Sums in which amplitude classes with fewer than FEWEST_FRAMES frames are joined with neighbours.
 
-    Classes are joined where their drives alone have fewer than FEWEST_FRAMES.
+    Each class gets the sums of its joined classes.
     """
     second, fourth = (x.sum(axis=3) for x in (s.rr[..., 0], s.fourth))
     groups = _joined(*(x.reshape(-1, x.shape[-1]) for x in (second, fourth))).reshape(second.shape)
@@ -613,18 +632,18 @@ def _classes_joined(s: Sums) -> Sums:
 
 
 def _pools(sums: Sums) -> list[_Lines]:
-    """Lines over single speed cells, over pools of two, of four and so on up to all, at every cell."""
+    """Lines of every cell over pools of one, two, four, ... speed cells, up to all."""
     joined, cells = _classes_joined(sums), sums.ee.shape[3]
     return [_fitted(_shared(joined, 2**k)) for k in range(cells.bit_length())]
 
 
 def _chosen(pools: list[_Lines]) -> np.ndarray:
-    """Index of every cell's pool (G, P, n_y, C, A): the widest that fits, wider with fewer than
-    FEWEST_FRAMES.
+    """Index (G, P, n_y, C, A) of the pool of every cell: the widest pool that fits its cells.
 
-    A pool fits when no cell in it with FEWEST_FRAMES has a line that refutes it at LACK_OF_FIT, one standard
-    deviation of speed to either side of the mean. A pool refuted with frames of one length is refuted for
-    all.
+    A pool fits if its line agrees with that of each of its cells with FEWEST_FRAMES frames, at the level
+    LACK_OF_FIT. They are compared one standard deviation of speed below and above the mean. A pool that is
+    rejected with one length of frames is rejected with all. A pool with fewer than FEWEST_FRAMES frames is
+    replaced by the next wider one.
     """
     own, cells = pools[0], pools[0].n.shape[3]
     ends = own.ends(1.0)
@@ -659,7 +678,7 @@ def claim(project: Project) -> str:
 
 
 def beyond(project: Project, grid: ErrorGrid) -> np.ndarray:
-    """Return the bound on |delta| where no drive informs, 1 + rho with rho a bound on |G/P|.
+    """Return the bound 1 + rho on |delta| where no drive informs. rho is a bound on |G/P|.
 
     Parameters
     ----------
@@ -673,7 +692,7 @@ def beyond(project: Project, grid: ErrorGrid) -> np.ndarray:
     Raises
     ------
     InputError
-        If the project's ratio is below 1 or not finite somewhere.
+        If the ratio of the project is below 1 or not finite at some frequency.
 
     References
     ----------
@@ -690,13 +709,15 @@ def beyond(project: Project, grid: ErrorGrid) -> np.ndarray:
             evaluate(stated[signal.name].ratio, {"omega": grid.omega}, where), grid.omega.shape
         )
         if not (np.isfinite(rho) & (rho >= 1)).all():
-            raise InputError(where, "ratio", f"{rho.min():.6g} at its least", "at least 1 at every frequency")
+            raise InputError(
+                where, "ratio", f"a least value of {rho.min():.6g}", "at least 1 at every frequency"
+            )
         columns.append(1 + rho)
     return np.column_stack(columns)
 
 
 def last_telling(estimate: ErrorEstimate) -> np.ndarray:
-    """Return the last grid frequency at which every cell is informative.
+    """Return the index of the last informative grid frequency.
 
     Parameters
     ----------
@@ -704,18 +725,17 @@ def last_telling(estimate: ErrorEstimate) -> np.ndarray:
 
     Returns
     -------
-    ndarray (n_y,) of int, index, -1 for none
+    ndarray (n_y,) of int, -1 without an informative frequency
     """
     return np.array([np.flatnonzero(tells)[-1] if tells.any() else -1 for tells in estimate.tells.T])
 
 
 def uncertainty_bound(project: Project, grid: ErrorGrid, estimate: ErrorEstimate) -> np.ndarray:
-    """(G, n_delta): bound that W_delta must cover (T31, T32).
+    """Bound (G, n_delta) that W_delta must cover (T31, T32).
 
-    Up to the last informative frequency it is the largest |delta_c| + k se of all cells. Where a cell would
-    not have refuted a vehicle that does not respond, it is at most 1 + rho unless |delta_c| - k se is larger.
-    Beyond the last informative frequency it is at least 1 + rho. For a design, the last SILENT frequencies
-    count as beyond it.
+    Up to the last informative frequency it is the largest |delta_c| + k se of all cells. At an uninformative
+    frequency it is at most 1 + rho, unless |delta_c| - k se is larger. Above the last informative frequency
+    it is at least 1 + rho. In a design, the last SILENT frequencies of the grid also count as above it.
     """
     upper, lower = (x.max(axis=(2, 3)) for x in (estimate.upper, estimate.lower))
     dead = beyond(project, grid)
@@ -728,9 +748,10 @@ def uncertainty_bound(project: Project, grid: ErrorGrid, estimate: ErrorEstimate
 def band_bound(project: Project, grid: ErrorGrid, bands: list[ErrorBand]) -> np.ndarray:
     """Compute the bound (G, n_delta) that W_delta must cover by the ``bands`` of all outputs.
 
-    The bands have the first of the grid's frequencies. A band gives no information at a speed and amplitude
-    with k sd >= 1 + rho. There, and beyond its frequencies, at most 1 + rho is required (T32). For a design,
-    the last SILENT frequencies count as beyond them.
+    The frequencies of the bands are the first ones of the grid. A band gives no information at a speed and
+    amplitude with k sd >= 1 + rho. There, and above the frequencies of the band, the bound is 1 + rho, unless
+    the lower bound of the band is larger (T32). In a design, the last SILENT frequencies of the grid also
+    count as above the band.
     """
     out = beyond(project, grid)
     for j, band in enumerate(bands):
@@ -742,19 +763,22 @@ def band_bound(project: Project, grid: ErrorGrid, bands: list[ErrorBand]) -> np.
 
 
 def _last(project: Project, grid: ErrorGrid) -> int:
-    """Index of the last frequency that may inform."""
+    """Index of the last grid frequency that may be informative."""
     return len(grid.omega) - 1 - SILENT * (project.design is not None)
 
 
 def band_frequencies(grid: ErrorGrid, domain: ErrorDomain) -> np.ndarray:
-    """Select the grid's frequencies (F,) [rad/s] that the decimated signals hold."""
+    """Select the grid frequencies (F,) [rad/s] that the decimated signals contain."""
     return grid.omega[grid.omega <= HELD * np.pi / domain.step_s]
 
 
 def bands_of(
     domain: ErrorDomain, omega: np.ndarray, seed: int, likes: list[ErrorBand] | None, sums: ErrorSums
 ) -> list[ErrorBand]:
-    """Band of every output of the drives' ``sums`` at ``omega`` (G,) [rad/s]; ``likes``: of more drives."""
+    """Band of every output from the ``sums`` of drives, at ``omega`` (G,) [rad/s].
+
+    ``likes`` are the bands of more drives, whose hyperparameters are used.
+    """
     return [
         error_band(domain, sums, j, omega, seed, like=None if likes is None else likes[j])
         for j in range(len(sums.gram))
@@ -768,12 +792,13 @@ class ModelError:
     Attributes
     ----------
     grid : ErrorGrid
-    setting : ErrorEstimate, of the drives that set the bounds
-    bound : ndarray (G, n_delta), bound from ``setting``, or without a ceiling on nu from ``bands``
-    judging : ErrorEstimate or None, of the drives that judge the bound
+    setting : ErrorEstimate, estimate from the drives that set the bounds
+    bound : ndarray (G, n_delta), bound from ``setting``, or from ``bands`` without a ceiling on nu
+    judging : ErrorEstimate or None, estimate from the drives that judge the bound
     left_out : list of float
-        Per fold the least ratio of the others' bound to its |delta_c| - k se, inf: no demand.
-    bands : list of dict, per output the band of a further drive
+        For each fold, the least ratio of the bound of the other folds to its |delta_c| - k se. It is inf
+        where this is nowhere above 0.
+    bands : list of dict, for each output the band of a further drive
     """
 
     grid: ErrorGrid
@@ -787,9 +812,9 @@ class ModelError:
     def from_sums(
         cls, project: Project, grid: ErrorGrid, setting: list[Sums], judging: list[Sums], workers: Map = map
     ) -> ModelError:
-        """Model error from the sums of folds of drives, at least one of which sets the bounds.
+        """Model error from the sums of folds of drives.
 
-        ``workers`` share the folds.
+        ``setting`` must have at least one fold. ``workers`` run the folds in parallel.
         """
         estimate = ErrorEstimate.from_sums(_total(setting), grid)
         return cls(
@@ -808,9 +833,9 @@ class ModelError:
         folds: list[ErrorEstimate],
         workers: Map = map,
     ) -> ModelError:
-        """With the bands of ``sums``, one a fold; ``folds``: each one's own estimate.
+        """The model error with the bands of ``sums``, one for each fold.
 
-        Where no ceiling on nu is set, they are the bound.
+        ``folds`` are the separate estimates of each fold. Without a ceiling on nu, the bands set the bound.
         """
         fit_bands = partial(bands_of, domain, band_frequencies(self.grid, domain), project.seed)
         bands = fit_bands(None, joined(sums))
@@ -841,27 +866,30 @@ class ModelError:
         return replace(with_bands, bound=band_bound(project, self.grid, bands), left_out=ratios)
 
     def at_bins(self, estimator: Estimator) -> np.ndarray:
-        """(K, n_delta) the bound at the bins, 0 at DC."""
+        """Bound (K, n_delta) at the bins, 0 at DC."""
         return np.where(estimator.cycles[:, None] > 0, self.bound[self._places(estimator)], 0.0)
 
     def typical(self, estimator: Estimator) -> np.ndarray:
-        """Compute the error (K, n_delta) of a further drive at the bins; only for bands. It is the median
-        over speeds and amplitudes. DC has the error of the lowest frequency."""
+        """Compute the typical error (K, n_delta) of a further drive at the bins, from the bands.
+
+        It is the median over speeds and amplitudes. DC has the error of the lowest frequency.
+        """
         each = np.column_stack([np.array(b["typical"])[self._places(estimator)] for b in self.bands])
         return each if self.bound.shape[1] > 1 else each.max(axis=1, keepdims=True)
 
     def _places(self, estimator: Estimator) -> np.ndarray:
-        """(K,) index of the grid's frequency at each bin; DC has the lowest."""
+        """Index (K,) of the grid frequency of each bin. DC has the lowest frequency."""
         bins = np.maximum(estimator.omega, self.grid.omega[0])
         return np.argmin(np.abs(np.log(bins[:, None] / self.grid.omega)), axis=1)
 
     @property
     def coverage(self) -> float:
-        """Share of the folds that the bound of the others covers."""
+        """Share of the folds that the bound of the other folds covers."""
         return float(np.mean([ratio >= 1 for ratio in self.left_out])) if self.left_out else float("nan")
 
     def to_dict(self, project: Project) -> dict:
-        """JSON-able, for `from_dict`, with the assumption beyond the data and its reason."""
+        """Convert to JSON types for `from_dict`, with the assumption above the informative frequencies and
+        its reason."""
         last = last_telling(self.setting)
         reasons = {b.output: b.reason for b in project.model_error.beyond}
         return {
@@ -887,7 +915,7 @@ class ModelError:
 
     @classmethod
     def from_dict(cls, project: Project, estimator: Estimator, data: dict) -> ModelError:
-        """Read back; the bound is computed again from the estimates, unless bands set it."""
+        """Model error from the result of `to_dict`. The bound is computed again, unless bands set it."""
         grid = ErrorGrid.from_project(project, estimator)
         setting = ErrorEstimate.from_dict(data["setting"])
         judging = None if data["judging"] is None else ErrorEstimate.from_dict(data["judging"])
@@ -898,20 +926,25 @@ class ModelError:
 
 
 def _left_out(project: Project, grid: ErrorGrid, fold: tuple[Sums, Sums]) -> float:
-    """Least ratio of the others' bound to the own |delta_c| - k se, from a ``fold``'s sums and theirs."""
+    """Least ratio of the bound of the other folds to |delta_c| - k se of a fold.
+
+    ``fold`` holds the sums of the fold and those of all others.
+    """
     own, others = (ErrorEstimate.from_sums(sums, grid) for sums in fold)
     return covered(uncertainty_bound(project, grid, others), own)
 
 
 def covered(bound: np.ndarray, own: ErrorEstimate) -> float:
-    """Least ratio of a ``bound`` (G, n_delta) to |delta_c| - k se of an estimate; inf where that is nowhere
-    above 0."""
+    """Least ratio of a ``bound`` (G, n_delta) to |delta_c| - k se of an estimate.
+
+    It is inf where |delta_c| - k se is nowhere above 0.
+    """
     lower = own.lower.max(axis=(2, 3))
     return float((bound / np.maximum(lower, TINY)).min(where=lower > 0, initial=np.inf))
 
 
 def _each_and_others(folds: list[Sums]) -> Iterator[tuple[Sums, Sums]]:
-    """Every fold with the sum of all others; none for a single fold."""
+    """Yield every fold with the sum of all others; nothing for a single fold."""
     after = list(accumulate(folds[:0:-1], Sums.plus))[::-1]
     before: Sums | None = None
     for own, later in zip_longest(folds[: len(folds) if after else 0], after):

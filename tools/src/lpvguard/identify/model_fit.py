@@ -1,6 +1,6 @@
 """Quality of the nominal model on the drives that set the bounds.
 
-Bounds around a model that is worse than none say nothing about the vehicle.
+Bounds are useless if the model explains the drives worse than no model does.
 """
 
 import numpy as np
@@ -19,32 +19,31 @@ def drive_fit(reader: DriveReader, experiment: Experiment) -> Quality:
 
 
 def require_better_than_none(drives: DriveSet, qualities: list[Quality]) -> None:
-    """Raise InputError where the model leaves more of an output than its variance, over all drives
-    together."""
+    """Raise InputError if the error of an output exceeds its variance, over all drives together."""
     for signal, vaf in zip(drives.reader.project.outputs, pooled_vaf(qualities), strict=True):
         if vaf < 0:
             raise drives.error(
                 f"output {signal.name}",
-                f"the model is worse than none: it leaves {1 - vaf:.0%} of the variance of the bound-setting "
-                "drives",
-                "a model of these drives; `lpvguard fit` fits it, and names wrong signs, units or delays",
+                f"the model is worse than no model: its error has {1 - vaf:.0%} of the variance of the "
+                "bound-setting drives",
+                "a model of these drives; `lpvguard fit` fits one, and names wrong signs, units or delays",
             )
 
 
 def evidence(
     omega: np.ndarray, frames: np.ndarray, length: np.ndarray, Ts: float, qualities: list[Quality]
 ) -> list[str]:
-    """Word the share of driving in counted frames, a line a bin above DC.
+    """Describe the share of driving in counted frames, with one line for each bin above DC.
 
     The line also has the number of successive frames.
 
     Parameters
     ----------
     omega : ndarray (K,), rad/s
-    frames : ndarray (K,) of int, counted frames at every start
-    length : ndarray (K,) of int, samples of a frame
+    frames : ndarray (K,) of int, number of counted frames over all starts
+    length : ndarray (K,) of int, length of a frame in samples
     Ts : float, s
-    qualities : list of Quality, of the bound-setting drives
+    qualities : list of Quality, one for each bound-setting drive
 
     Returns
     -------
@@ -52,15 +51,15 @@ def evidence(
     """
     in_range_s = sum(q.judged_s for q in qualities)
     return [
-        f"{w:.3g} rad/s: {n * Ts:.0f} of {in_range_s:.0f} s in range count, {n / m:.0f} frames of "
-        f"{m * Ts:.3g} s one after another"
+        f"{w:.3g} rad/s: {n * Ts:.0f} of {in_range_s:.0f} s in range count, {n / m:.0f} successive frames "
+        f"of {m * Ts:.3g} s"
         for w, n, m in zip(omega, frames, length, strict=True)
         if w > 0
     ]
 
 
 def sentences(project: Project, qualities: list[Quality]) -> list[str]:
-    """Word the quality, a line a drive, with a warning for a poor model.
+    """Describe the quality with one line for each drive, and a warning for a poor model.
 
     Parameters
     ----------

@@ -1,4 +1,5 @@
-"""Passes of an identification over its drives, mapped by workers and joined on arrival."""
+"""Passes of an identification over its drives. Workers run them, and the results are joined as they
+arrive."""
 
 import operator
 from collections.abc import Callable, Iterable, Iterator
@@ -51,16 +52,21 @@ from .visibility import Excitation, visibility
 from .weights import FittedWeight, Weights, coefficients_of, energy_filters, fit_uncertainty
 
 CUTS = 5
-"""Random first samples from which every bound-setting drive is replayed to find the final inflation."""
+"""Number of random first samples. Every bound-setting drive is also judged from each of them for the final
+inflation."""
 FAR_BELOW = 0.99
-"""Share of the energy ratio's bound: the single-precision core is closer to the definition than this."""
+"""Ratios below this share of the bound are safely below it, because the rounding of the single-precision core
+is smaller."""
 JOINED_AT_ONCE = 32
-"""Number of drives whose samples are joined at once: sorting them together is faster."""
+"""Number of drives whose samples are joined together, because one sort is faster."""
 Result = TypeVar("Result")
 
 
 def _folds(chosen: Iterable[Experiment]) -> dict[Experiment, int]:
-    """The fold of every drive, by name: sums of floats depend on the order. Groups are kept together."""
+    """Fold of every drive. A fold contains complete groups.
+
+    The drives are ordered by name, because sums of floats depend on the order.
+    """
     ordered = sorted(chosen, key=lambda e: e.name)
     groups = list(dict.fromkeys(e.group_or_recording for e in ordered))
     return {e: groups.index(e.group_or_recording) % FOLDS for e in ordered}
@@ -70,9 +76,9 @@ def _folds(chosen: Iterable[Experiment]) -> dict[Experiment, int]:
 class Origins:
     """Origins of bounds and thresholds.
 
-    ``evidence`` (K,) is the largest of the bound-setting drives by bin, empty without a core. ``peaks`` are
-    the origins of the scores by calibration drive and test. ``decided`` are the frames that decide nu and
-    B_w.
+    ``evidence`` (K,) is the largest evidence of the bound-setting drives in each bin. ``peaks`` are the peaks
+    of each calibration drive and test; they are empty without a core. ``decided`` are the frames that decide
+    nu and B_w.
     """
 
     evidence: np.ndarray = field(default_factory=lambda: np.zeros(0))
@@ -81,10 +87,10 @@ class Origins:
 
 
 class OverDrives:
-    """Passes over the drives, mapped by ``workers`` and joined on arrival.
+    """Passes over the drives, which ``workers`` run.
 
-    ``left_out`` holds the reason by drive without a counted frame. ``spectra`` and ``met`` are the samples
-    joined so far. ``origins`` are the origins of bounds and thresholds found so far.
+    ``left_out`` maps each drive without a counted frame to the reason. ``spectra`` and ``met`` are the
+    samples so far. ``origins`` are the origins of the bounds and thresholds so far.
     """
 
     def __init__(self, drives: DriveSet, workers: Map, progress: Progress):
@@ -101,16 +107,16 @@ class OverDrives:
     def over(
         self, what: str, task: Callable[[Experiment], Result], chosen: Iterable[Experiment]
     ) -> Iterator[Result]:
-        """Results of ``task`` on every chosen drive, in order."""
+        """Yield the results of ``task`` on every chosen drive, in order."""
         chosen = list(chosen)
         for e, result in zip(chosen, self.workers(task, chosen), strict=False):
             self.progress(f"{what} of {e.name}")
             yield result
 
     def first_parts(self, chosen: list[Experiment], ceiling: np.ndarray, *, keep: bool) -> Iterator[Part]:
-        """Bounds before smoothing under a ``ceiling`` (K,) on nu, and peaks, of every drive.
+        """Yield the bounds before smoothing and the peaks of every drive, for a ``ceiling`` (K,) on nu.
 
-        With ``keep`` its spectra are sampled, and its sensors' resolution is kept.
+        With ``keep`` a sample of the spectra and the resolution of the sensors are kept.
         """
         task = partial(first_pass, self.reader, ceiling)
         for e, (part, rows, seen) in zip(chosen, self.over("frames", task, chosen), strict=False):
@@ -134,9 +140,9 @@ class OverDrives:
         return thinned(stacked(self._spectra))
 
     def with_frames(self, drives: Chosen) -> Chosen:
-        """The drives without bound-setting ones that were left out.
+        """The drives without bound-setting drives that have no counted frame.
 
-        Raises InputError when none remains, or none calibrates.
+        Raises InputError when no bound-setting drive remains, or no drive calibrates.
         """
         left = [e for e in drives.setting if e.name not in self.left_out]
         if not left:
@@ -144,15 +150,15 @@ class OverDrives:
             raise self.drives.error(
                 "split " + ", ".join(self.reader.project.data.bound_split),
                 "no frame counts: no judged stretch at all",
-                f"at least one drive unlike {name} ({reason})",
+                f"at least one drive with one, unlike {name} ({reason})",
             )
         self._require_scores(drives, judged=True)
         return replace(drives, setting=left)
 
     def model_error(self, drives: Chosen) -> ModelError:
-        """Model error model of the bound-setting drives, and that of the drives that judge it.
+        """Model error model of the bound-setting drives and of the drives that judge it.
 
-        It holds the band of a further drive, which is its bound where no ceiling on nu is set.
+        It contains the band of a further drive. Without a ceiling on nu this band sets its bound.
         """
         reader = self.reader
         project, grid = reader.project, ErrorGrid.from_project(reader.project, reader.estimator)
@@ -189,9 +195,10 @@ class OverDrives:
         W_delta: np.ndarray,
         B_w: np.ndarray | None = None,
     ) -> HealthySet:
-        """The healthy set of the frame test, with a ``floor`` (K, n_y) of its B_w.
+        """The healthy set of the frame test.
 
-        It lies within ``W_delta`` (K, n_delta) of the certificate, and within its ``B_w`` (K, n_y), if given.
+        Its B_w is at least ``floor`` (K, n_y). The set lies within ``W_delta`` (K, n_delta) of the
+        certificate, and within the ``B_w`` (K, n_y) of the certificate, if given.
         """
         project, fold_of = self.reader.project, _folds(setting)
         task = partial(healthy_pass, self.reader)
@@ -210,20 +217,20 @@ class OverDrives:
     def _deciders(
         self, key: str, columns: int, setting: list[Experiment], parts: Iterable[Part]
     ) -> Iterator[Part]:
-        """Parts of the ``setting`` drives; records in passing what decides the bound ``key``."""
+        """Yield the parts of the ``setting`` drives, and record the frames that decide the bound ``key``."""
         self.origins.decided[key] = Deciders(key, (self.reader.estimator.n_bins, columns))
         return self.origins.decided[key].watched((e.name for e in setting), parts)
 
     def uncertainty(
         self, first: Part, gamma_w: np.ndarray, error: ModelError, setting: list[Experiment]
     ) -> tuple[Part, list[FittedWeight]]:
-        """Step 5 under ``gamma_w`` (K,), and W_delta above it and above the model error."""
+        """Result of step 5 at ``gamma_w`` (K,), and W_delta above its nu and above the model error."""
         project, estimator = self.reader.project, self.reader.estimator
         grid = front_grid(first["B1"], first["B2"], estimator, project.bounds.structure)
         parts = self.over("bounds", partial(uncertainty_pass, self.reader, gamma_w, grid), setting)
         second = fold(self._deciders("nu", project.n_delta, setting, parts))
         names = [f"W_delta of {s.name}" for s in project.outputs] if project.n_delta > 1 else ["W_delta"]
-        # Class S0 has no uncertainty: all error is disturbance.
+        # Class S0 has no uncertainty, so all error is disturbance.
         needed = error.bound * (project.bounds.structure != "S0")
         weight = partial(fit_uncertainty, project, estimator, error.grid.omega)
         W_delta = list(self.workers(weight, zip(second["nu"].T, needed.T, names, strict=True)))
@@ -237,10 +244,12 @@ class OverDrives:
         W_delta: list[FittedWeight],
         setting: list[Experiment],
     ) -> Bounds:
-        """Step 6 with ``gamma_w`` (K,): B_w is what no |delta| <= W_delta explains, or its floor.
+        """Bounds of step 6 with ``gamma_w`` (K,): B_w bounds the remainder of all frames, and is at least its
+        floor.
 
-        ``covering``: B_w is scaled until sum_j |w_j / B_w,j|^2 <= 1 on every frame; ``paper``: |w_j| <=
-        B_w,j."""
+        With the disturbance set ``covering`` B_w is scaled until sum_j |w_j / B_w,j|^2 <= 1 on every frame.
+        With ``paper`` it only ensures |w_j| <= B_w,j.
+        """
         project, estimator = self.reader.project, self.reader.estimator
         size = np.column_stack([w.magnitude(estimator.omega) for w in W_delta])
         joint = project.bounds.disturbance_set == "covering" and project.n_y > 1
@@ -274,7 +283,7 @@ class OverDrives:
     ) -> tuple[Weights, Calibration, EnergyTest | None, ChangeTest | None, Pools | None]:
         """Weights with their final inflation, the tests with their thresholds, and the bounds of pools.
 
-        The plain DFT has the frame test only. Raises InputError where nothing calibrates.
+        The plain DFT has only the frame test. Raises InputError where no drive calibrates.
         """
         project, model, estimator = self.reader.project, self.reader.model, self.reader.estimator
         alpha, recordings = project.frame_test.alpha, Recordings.listed(drives.setting, drives.others)
@@ -311,14 +320,14 @@ class OverDrives:
             )
 
     def _target(self, settings: FrameTestSettings, test: str) -> RateTarget | None:
-        """Rate that a test may have, an equal share of that of all; None without one."""
+        """Target rate of a test, an equal share of the rate of all tests, or None without a rate."""
         if settings.alarms_per_1000_h is None:
             return None
         share = settings.alarms_per_1000_h / len(RATED)
         return RateTarget(share, settings.alarms_confident, self._maxima.get(test, {}), self._judged_s)
 
     def _pools(self, bounds: Bounds, recordings: Recordings, drives: Chosen) -> Pools:
-        """Bounds of pools from all drives."""
+        """Bounds of the pools from all drives."""
         sizes = PoolSizes.for_project(self.reader.project, self.reader.estimator)
         task = partial(pool_needs_pass, self.reader, sizes)
         W, silent = chosen_share(PoolNeeds.joined(self.over("pools", task, drives.setting)), bounds.B_w_floor)
@@ -326,7 +335,7 @@ class OverDrives:
         remainders: list[Remainders] = []
         blocks: dict[str, np.ndarray] = {}
         every = [*drives.setting, *drives.others]
-        chosen = sorted(every, key=lambda e: e.name)  # sums of floats depend on the order
+        chosen = sorted(every, key=lambda e: e.name)  # because sums of floats depend on the order
         rest = self.over("pools", partial(pool_remainder_pass, self.reader, sizes, W), chosen)
         for e, remainder in zip(chosen, rest, strict=True):
             name = recordings.named(e.name)
@@ -349,7 +358,7 @@ class OverDrives:
         require_calibration(self.drives, (e.name for e in drives.others), self.left_out, judged)
 
     def visibility(self, weights: Weights, calibration: Calibration, pools: Pools | None) -> dict:
-        """visibility.json: what the judged drives could have refuted, by bin."""
+        """Content of visibility.json: the smallest visible errors in each speed cell and bin."""
         estimator, factor = self.reader.estimator, weights.inflation
         W_delta = weights.of_frames(estimator.omega)[0] / factor
         return visibility(
@@ -365,7 +374,7 @@ class OverDrives:
 
     @property
     def met(self) -> Excitation:
-        """Excitation of all judged drives so far."""
+        """Excitation in all judged drives so far."""
         return Excitation.joined(self._met)
 
     def _judged(
@@ -385,11 +394,12 @@ class OverDrives:
             yield j
 
     def _inflated(self, weights: Weights, core: Core | None, drives: Chosen) -> tuple[Weights, set[str]]:
-        """Final inflation: the least factor >= 1 on the weights with which no margin exceeds 1 on
-        bound-setting drives.
+        """Weights with the final inflation, and the drives with small energy ratios.
 
-        Drives count whole or with their first samples cut. A factor above 1 is rounded up by 1e-4. Also
-        returns the drives on which, so cut, the core's energy ratio stays below FAR_BELOW.
+        The inflation is the least factor >= 1 on the weights with which no margin of a bound-setting drive
+        exceeds 1. The drives are judged whole and with their first samples cut. A factor above 1 is rounded
+        up by 1e-4. The returned drives are those whose energy ratio stays below FAR_BELOW in all cut runs.
+
         """
         worst, far = 1.0, set()
         judged = self._judged("inflation", weights, core, None, CUTS, drives.setting)
@@ -400,11 +410,13 @@ class OverDrives:
         return replace(weights, inflation=worst if worst == 1.0 else worst * (1 + 1e-4)), far
 
     def _silent(self, inflated: Weights, frames: np.ndarray) -> tuple[int, ...]:
-        """Bins in which no bound-setting drive shows evidence above 1, after `_inflated` judged them.
+        """Bins without evidence above 1 in any bound-setting drive, after `_inflated` has judged these
+        drives.
 
-        There a vehicle that does not respond would not be refuted. nu is 0 at zero frequency, which is silent
-        only where all others are. Silent are also bins of fewer than FEWEST_FRAMES successive ``frames``: a
-        further frame exceeds so few too often. A healthy set has such bins only where one drive has frames.
+        In such a bin the test would not refute a vehicle that does not respond. nu is 0 at zero frequency, so
+        this bin is silent only where all others are. Bins with fewer than FEWEST_FRAMES successive ``frames``
+        are silent too, because a further frame exceeds such a bound too often. With a healthy set this holds
+        only for bins with frames of at most one drive.
         """
         estimator = self.reader.estimator
         self.origins.evidence = self.met.evidence(estimator.n_bins) / inflated.inflation
@@ -413,13 +425,13 @@ class OverDrives:
         if inflated.healthy is None:
             weak &= ~steady | weak[~steady].all()
         else:
-            # Beside a W_delta near 0 every error at zero frequency is evidence.
+            # With a W_delta near 0 every error at zero frequency is evidence.
             weak[steady] = weak[~steady].all()
             thin &= inflated.healthy.folds < 2
         return tuple(int(k) for k in np.flatnonzero(weak | thin))
 
     def _with_sigma(self, test: EnergyTest, resolution: Resolution, drives: Chosen) -> EnergyTest:
-        """Energy test with the sigma needed by the drives with and without input, or its floor."""
+        """Energy test with the sigma that the drives with and without input need, at least its floor."""
         task = partial(energy_pass, self.reader, test, 0)
         needs = fold(self.over("sigma", task, drives.setting + drives.noise))
         return test.with_sigma(needs, resolution.energy_floor(test.F, test.Ts, test.memories_s))
@@ -427,10 +439,10 @@ class OverDrives:
     def _energy_test(
         self, inflated: Weights, first: EnergyTest, far: set[str], resolution: Resolution, drives: Chosen
     ) -> EnergyTest:
-        """Energy test of the ``inflated`` weights, with sigma for all directions and cut drives.
+        """Energy test of the ``inflated`` weights, with sigma for all directions and for cut drives.
 
-        ``first`` is that of the previous weights. Drives ``far`` below its bound need nothing more if each
-        output has its own direction and the weights are the same.
+        ``first`` is the test before the inflation. If the weights are the same and every direction is a
+        single output, drives ``far`` below the bound need no further sigma.
         """
         test = energy_filters(self.reader.project, self.reader.estimator, inflated)
         chosen = drives.setting + drives.noise
@@ -446,13 +458,13 @@ class OverDrives:
         """Change test with sizes from the bound-setting drives."""
         sums = self.over("change", partial(change_products_pass, self.reader), drives.setting)
         test = ChangeTest.design(self.reader.project).with_moments(np.sum(list(sums), axis=0))
-        # By name: sums of floats depend on the order.
+        # Order the drives by name, because sums of floats depend on the order.
         chosen = sorted(drives.setting, key=lambda e: e.name)
         met = self.over("change", partial(change_met_pass, self.reader, test), chosen)
         return test.with_sizes(reduce(operator.add, met))
 
     def diagnosis(self, change: ChangeTest | None, drives: Chosen) -> DiagnosisScales | None:
-        """Scales of the diagnosis, by the sizes of the change test; None without that."""
+        """Scales of the diagnosis, with the units of the change test, or None without a change test."""
         if change is None:
             return None
         task = partial(diagnosis_pass, self.reader, 1 / change.unit)
@@ -460,7 +472,7 @@ class OverDrives:
         return DiagnosisScales.from_windows(self.reader.project, change.unit, windows)
 
     def isolation(self, drives: Chosen) -> Isolation | None:
-        """Scales that name a part, from all drives with input; None without [isolation]."""
+        """Isolation scales from all drives with input, or None without [isolation]."""
         reader, every = self.reader, [*drives.setting, *drives.others]
         if reader.project.isolation is None:
             return None
@@ -474,9 +486,9 @@ class OverDrives:
     def _scores(
         self, weights: Weights, core: Core | None, reals: np.ndarray | None, drives: Chosen
     ) -> tuple[dict[str, float], dict[str, float], dict[str, float]]:
-        """Scores of the calibration drives in frame, energy and change test.
+        """Scores of the calibration drives in the frame, energy and change test.
 
-        Adds to ``left_out`` and to the judged times.
+        The method also updates ``left_out`` and the judged times.
         """
         scores, energy_scores, change_scores = {}, {}, {}
         judged = self._judged("score", weights, core, reals, 0, drives.others)

@@ -1,4 +1,4 @@
-"""Per-drive functions of `identify`, mapped over the drives and sent to workers."""
+"""Functions of `identify` for one drive, which workers run on every drive."""
 
 import io
 import uuid
@@ -41,16 +41,17 @@ from .resolution import resolution_of
 from .visibility import Excitation
 
 LARGEST_SPECTRA, DRAWN_SPECTRA = 250, 750
-"""Frames a bin in spectra.npz: those of largest |E|, and a draw by hash among all."""
+"""Numbers of frames in spectra.npz for each bin: those with the largest |E|, and a sample of all by hash."""
 KEPT_BYTES = 384 << 20
-"""Bytes of samples that a reader keeps: an identification reads its drives a dozen times."""
+"""Largest number of bytes of samples that a reader keeps. An identification reads its drives a dozen
+times."""
 
 
 @dataclass
 class _Held:
-    """A drive with its nominal output yhat (N, n_y), from which its error follows.
+    """A drive with its nominal output yhat (N, n_y).
 
-    ``stretches`` are runs of its counted frames, once requested.
+    ``stretches`` are the runs of its counted frames, after their first use.
     """
 
     drive: Drive
@@ -63,10 +64,10 @@ class _Held:
 
 
 class DriveReader:
-    """Reads drives and takes their frames; it is sent to a worker.
+    """Reads drives and computes their frames. It can be sent to a worker.
 
-    The drives read first are kept, up to KEPT_BYTES, with read-only arrays. A worker begins with none. It has
-    one reader for all copies of this one.
+    The first drives are kept in memory up to KEPT_BYTES, as read-only arrays. A worker starts without drives.
+    It has one reader for all copies of this one.
 
     Parameters
     ----------
@@ -79,14 +80,14 @@ class DriveReader:
         self._kept: dict[Experiment, _Held] = {}
         self._room = KEPT_BYTES
         self._key = uuid.uuid4()
-        _ = model.table  # made here once, not by every worker
+        _ = model.table  # computed once here, not by every worker
 
     def __reduce__(self):
         return _sent, (self._key, self.project, self.model)
 
     @property
     def identity(self) -> Project:
-        """All that a result of this reader depends on (base/kept_results.py)."""
+        """Everything that a result of this reader depends on (base/kept_results.py)."""
         return self.project
 
     def read(self, experiment: Experiment) -> tuple[Drive, np.ndarray, np.ndarray]:
@@ -94,11 +95,11 @@ class DriveReader:
         return self._held(experiment).signals()
 
     def frames(self, experiment: Experiment) -> Iterator[FrameSet]:
-        """The counted frames of a drive, bin by bin."""
+        """Yield the counted frames of a drive, one set for each bin."""
         return self._frames(self._held(experiment))
 
     def seen(self, experiment: Experiment) -> tuple[Drive, np.ndarray, np.ndarray, Iterator[FrameSet]]:
-        """The drive, e and yhat (N, n_y) and the counted frames, from one reading."""
+        """The drive, e and yhat (N, n_y), and the counted frames, with a single read."""
         held = self._held(experiment)
         return *held.signals(), self._frames(held)
 
@@ -129,18 +130,18 @@ class DriveReader:
         shortest_s = self.estimator.length.min() * self.estimator.Ts
         settled_s = self.estimator.settle * self.estimator.Ts
         return (
-            f"no frame counts: nowhere {shortest_s:g} s within {low:g}..{high:g} m/s and "
+            f"no frame counts: no {shortest_s:g} s within {low:g}..{high:g} m/s and "
             f"{self.estimator.speed_tolerance:.0%} of their mean speed"
-            + (f", {settled_s:.3g} s after entering" if self.estimator.settle else "")
+            + (f", {settled_s:.3g} s after the speed enters the range" if self.estimator.settle else "")
         )
 
 
 _of_worker: dict[uuid.UUID, DriveReader] = {}
-"""Newest reader that a worker received."""
+"""Reader that a worker received last, by its key."""
 
 
 def _sent(key: uuid.UUID, project: Project, model: NominalModel) -> DriveReader:
-    """A worker's reader for a received one."""
+    """Reader of the worker that replaces a received one."""
     if key not in _of_worker:
         _of_worker.clear()
         _of_worker[key] = DriveReader(project, model)
@@ -148,7 +149,8 @@ def _sent(key: uuid.UUID, project: Project, model: NominalModel) -> DriveReader:
 
 
 def _spectra_rows(s: FrameSet, name: str, way: np.ndarray, estimator: Estimator) -> Rows:
-    """The core's frames as rows of a sample; ``way`` (N + 1,): sums of the drive's speed."""
+    """Rows of the frames of ``s`` that the core also has. ``way`` (N + 1,) are cumulative sums of the
+    speed."""
     on_grid = (
         s.starts % estimator.hop[s.bin] == 0 if estimator.window == "hann" else np.ones(len(s.starts), bool)
     )
@@ -167,9 +169,9 @@ def _spectra_rows(s: FrameSet, name: str, way: np.ndarray, estimator: Estimator)
 
 
 def thinned(rows: Rows) -> Rows:
-    """LARGEST_SPECTRA and DRAWN_SPECTRA rows a bin, each once.
+    """Sample of LARGEST_SPECTRA and DRAWN_SPECTRA rows of each bin, without duplicates.
 
-    Thinning the union of two thinned parts gives that of all rows.
+    The sample of the union of two samples equals the sample of all rows.
     """
     both = stacked([first_of_each(rows, LARGEST_SPECTRA, "weakness"), first_of_each(rows, DRAWN_SPECTRA)])
     order = np.lexsort((both["hash"], both["group"]))
@@ -179,7 +181,7 @@ def thinned(rows: Rows) -> Rows:
 
 
 def spectra_file(rows: Rows, bound_drives: list[str]) -> bytes:
-    """The thinned spectra as npz: drive (index into names), bin, start, speed (mean over the frame, m/s), E,
+    """Content of spectra.npz: drive (index into names), bin, start, speed (mean over the frame, m/s), E and
     Z."""
     index = {name: i for i, name in enumerate(bound_drives)}
     stream = io.BytesIO()
@@ -201,7 +203,7 @@ def first_pass(
 ) -> tuple[Part, Rows, np.ndarray]:
     """Bounds before smoothing, peaks, a sample of the spectra, and step and noise (2, n_y) of one drive.
 
-    ``nu_ceiling`` (K,): the ceiling on the uncertainty bound in every bin, 0 at DC.
+    ``nu_ceiling`` (K,) is the ceiling on nu in every bin, 0 at DC.
     """
     rows: list[Rows] = []
     drive, e, _, frames = reader.seen(experiment)
@@ -251,7 +253,8 @@ def _error_pass(
 def uncertainty_pass(
     reader: DriveReader, gamma_w: np.ndarray, grid: np.ndarray, experiment: Experiment
 ) -> Part:
-    """Step 5: nu that the drive needs under gamma_w (K,), and its front over ``grid``."""
+    """Reduce a drive to its nu of step 5 at gamma_w (K,), and to its front over ``grid`` (K,
+    FRONT_POINTS)."""
     return reduce_uncertainty(
         reader.frames(experiment),
         reader.estimator,
@@ -263,21 +266,21 @@ def uncertainty_pass(
 
 
 def healthy_pass(reader: DriveReader, experiment: Experiment) -> np.ndarray:
-    """Return the needs of a drive for the healthy set (K, P, n_y), as `needed` does."""
+    """Return the needs (K, P, n_y) of a drive for the healthy set, see `needed`."""
     project = reader.project
     frames = list(reader.frames(experiment))
     return needed(frames, reader.estimator, project.n_delta, project.bounds.structure)
 
 
 def pool_needs_pass(reader: DriveReader, sizes: PoolSizes, experiment: Experiment) -> PoolNeeds:
-    """Needs of a drive for the bounds of pools."""
+    """Return the needs of a drive for the bounds of pools."""
     return needs_of(experiment, reader.frames(experiment), reader.estimator, sizes, reader.project.n_y)
 
 
 def pool_remainder_pass(
     reader: DriveReader, sizes: PoolSizes, W: np.ndarray, experiment: Experiment
 ) -> Remainders:
-    """Remainders of a drive's pools beside ``W`` (K, n_y)."""
+    """Return the remainders of the pools of a drive for ``W`` (K, n_y)."""
     drive, _, _, frames = reader.seen(experiment)
     return remainders_of(experiment, frames, drive.v, reader.estimator, sizes, W)
 
@@ -285,7 +288,8 @@ def pool_remainder_pass(
 def remainder_pass(
     reader: DriveReader, W_delta: np.ndarray, joint: bool, experiment: Experiment
 ) -> tuple[Part, list[np.ndarray]]:
-    """Step 6: |w_j| of the drive that no |delta| <= W_delta (K, n_delta) explains, as `reduce_remainder`."""
+    """Reduce a drive to the |w_j| that no |delta| <= W_delta (K, n_delta) explains, see
+    `reduce_remainder`."""
     return reduce_remainder(
         reader.frames(experiment),
         reader.estimator,
@@ -297,11 +301,12 @@ def remainder_pass(
 
 
 class Judged(NamedTuple):
-    """Results of the tests on a drive: largest margin, scores (None: not judged), excitation, judged time
-    [s].
+    """Results of the tests on a drive.
 
-    ``peaks``: origins of the scores by test; none without a core. ``energy_of_cuts``: largest ratio of the
-    energy test with its first samples cut; 0: not judged. ``maxima``: of the scores in blocks, by test.
+    ``worst`` is the largest margin. The scores are None where a test judged nothing. ``met`` is the
+    excitation, and ``judged_s`` the judged time [s]. ``peaks`` are the peaks by test, empty without a core.
+    ``energy_of_cuts`` is the largest ratio of the energy test in the cut runs, 0 where it judged nothing.
+    ``maxima`` are the maxima of the scores in blocks, by test.
     """
 
     worst: float
@@ -324,9 +329,10 @@ def judge(
     cuts: int,
     experiment: Experiment,
 ) -> Judged:
-    """Judge a drive, whole and (for ``worst``) from ``cuts`` random first samples, by the compiled core.
+    """Judge a drive by the compiled core: as a whole, and for ``worst`` also from ``cuts`` random first
+    samples.
 
-    Without a core (plain DFT) the exact margin under W_delta (K, n_delta), B_w (K, n_y) judges.
+    Without a core (plain DFT) the exact margin for W_delta (K, n_delta) and B_w (K, n_y) judges the drive.
     """
     speed_range, name = reader.estimator.speed_range, experiment.name
     drive, _, _, frames = reader.seen(experiment)
@@ -379,7 +385,7 @@ def judge(
 
 
 def _covered_s(start: np.ndarray, length: np.ndarray, Ts: float) -> float:
-    """Time [s] covered by frames of ``length`` (F,) samples from ``start`` (F,) on."""
+    """Time [s] that frames cover, with ``length`` (F,) samples from the sample ``start`` (F,) on."""
     frames_open = np.zeros(int((start + length).max(initial=0)) + 1, int)
     np.add.at(frames_open, start, 1)
     np.add.at(frames_open, start + length, -1)
@@ -387,17 +393,17 @@ def _covered_s(start: np.ndarray, length: np.ndarray, Ts: float) -> float:
 
 
 def _first_samples(reader: DriveReader, name: str, samples: int, cuts: int) -> list[int]:
-    """0 and ``cuts`` random first samples in the first half of a drive."""
-    # A stream of random numbers for each drive: the other drives and their order make no difference.
+    """Return 0 and ``cuts`` random samples in the first half of a drive."""
+    # Each drive has its own random stream, so the result does not depend on other drives or their order.
     random = np.random.default_rng([reader.project.seed, zlib.crc32(name.encode())])
     return [0, *random.integers(1, max(2, samples // 2), cuts).tolist()]
 
 
 def energy_pass(reader: DriveReader, test: EnergyTest, cuts: int, experiment: Experiment) -> Part:
-    """Sigma that a drive needs: whole, from rest; with its first samples cut, from what Delta may remember.
+    """Return the sigma that a drive needs, as a whole from rest and in cut runs with a memory of Delta.
 
-    Without ``cuts`` it also gives what the drive shows of that memory. With ``cuts`` it is whole only for
-    directions of several outputs, because sigma covers a single output's.
+    Without ``cuts`` the result also has the largest memory in the drive. With ``cuts`` the whole drive is
+    judged only for directions of several outputs, because sigma already covers single outputs.
     """
     drive, e, yhat = reader.read(experiment)
 
@@ -414,30 +420,30 @@ def energy_pass(reader: DriveReader, test: EnergyTest, cuts: int, experiment: Ex
 
 
 def change_products_pass(reader: DriveReader, experiment: Experiment) -> np.ndarray:
-    """Sums (n_y, 3, 3) of products of the change test's regressors over a drive."""
+    """Return the sums (n_y, 3, 3) of products of the regressors of the change test over a drive."""
     drive, e, yhat = reader.read(experiment)
     return regressor_products(e, yhat, drive.v, reader.estimator)
 
 
 def change_met_pass(reader: DriveReader, test: ChangeTest, experiment: Experiment) -> Met:
-    """Estimates of the change test along a drive."""
+    """Return the summary of the estimates of the change test along a drive."""
     drive, e, yhat = reader.read(experiment)
     return estimates_met(test, e, yhat, drive.v, reader.estimator)
 
 
 def diagnosis_pass(reader: DriveReader, unit: np.ndarray, experiment: Experiment) -> Windows:
-    """Windows of a drive for the scales of the diagnosis; ``unit`` (n_y, 2): 1 / sizes."""
+    """Return the windows of a drive for the scales of the diagnosis. ``unit`` (n_y, 2) is 1 / sizes."""
     drive, e, yhat = reader.read(experiment)
     return windows_of(e, yhat, drive.v, reader.estimator, unit)
 
 
 def isolation_moments_pass(reader: DriveReader, changes: Changes, experiment: Experiment) -> Moments:
-    """Moments of a drive for the scales that name a part."""
+    """Return the moments of a drive for the isolation scales."""
     return moments_of(changes, reader.read(experiment)[0])
 
 
 def isolation_windows_pass(
     reader: DriveReader, changes: Changes, begun: Isolation, experiment: Experiment
 ) -> list[WindowSums]:
-    """Windows of a drive for the scales that name a part."""
+    """Return the windows of a drive for the isolation scales."""
     return evidence_windows(changes, begun, reader.read(experiment)[0])

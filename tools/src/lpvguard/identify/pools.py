@@ -1,10 +1,12 @@
-"""Pools of frames: sums of the error that follows the input (THEORY 7.17; lib/include/lpvguard/monitor.h).
+"""Pools of frames: sums of the error that the input explains (THEORY 7.17; lib/include/lpvguard/monitor.h).
 
 The remainder of a pool is ``|sum of conj(Z) E| / sqrt(P) - W sqrt(P)`` with P = sum of |Z|^2. Its bound B is
-the largest remainder of all drives, those that calibrate included. W is chosen on the drives that set the
-bounds. The score of a drive is its largest remainder over the bound of all other recordings. Without a
-recording every bound is at most what is exported. A further exchangeable recording therefore exceeds the
-threshold of these scores with probability at most alpha (T52). No drive is spent.
+the largest remainder of all drives, including those that calibrate. W is chosen on the drives that set the
+bounds.
+
+The score of a drive is its largest remainder, divided by the bound of all other recordings. A bound without
+one recording is at most the exported bound. A further exchangeable recording therefore exceeds the threshold
+of these scores with probability at most alpha (T52). All drives can serve both the bounds and the threshold.
 """
 
 from __future__ import annotations
@@ -27,26 +29,26 @@ from .limit import LimitSums
 from .visibility import SAMPLED_FRAMES, SPEED_CELLS, Excitation, speed_cell
 
 SAMPLED = 750
-"""Pools a bin from which typical excitation is read."""
+"""Number of pools of each bin in the sample for the typical excitation."""
 
 
 @dataclass(frozen=True)
 class PoolSizes:
-    """Parts of a pool (K,), and frames of a part (K,), by bin."""
+    """Number of parts of a pool (K,), and of frames of a part (K,), for each bin."""
 
     parts: np.ndarray
     frames: np.ndarray
 
     @classmethod
     def for_project(cls, project: Project, estimator: Estimator) -> PoolSizes:
-        """Pools that a fault fills within the time in which it is to be found; one frame at least."""
+        """Sizes of pools that fit into the required time to detect a fault, at least one frame."""
         length, hop = estimator.length * project.Ts_s, estimator.hop * project.Ts_s
         room = np.floor((project.evaluation.found_within_s - length) / hop + 1e-9).astype(int) + 1
         parts = np.clip(room, 1, constant("NPOOL", {"NY": project.n_y}))
         return cls(parts, np.maximum(room, 1) // parts)
 
     def counts(self, k: int) -> range:
-        """Numbers of frames that a pool of bin k holds, from when all its parts are in use."""
+        """Possible numbers of frames in a pool of bin k after all its parts are in use."""
         parts, frames = int(self.parts[k]), int(self.frames[k])
         return range((parts - 1) * frames + 1, parts * frames + 1)
 
@@ -54,10 +56,10 @@ class PoolSizes:
 def pooled(
     s: FrameSet, estimator: Estimator, counts: Iterable[int]
 ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Pools of the last n frames that end with each frame of ``s``, for every n of ``counts``.
+    """Yield the pools of the last n frames that end with each frame of ``s``, for every n of ``counts``.
 
-    Yields |sum of conj(Z) E| / sqrt(P) and sqrt(P), each (F, n_y) [output units]. Frames that do not count
-    add nothing.
+    Each result is |sum of conj(Z) E| / sqrt(P) and sqrt(P), both (F, n_y) [output units]. Only counted frames
+    are summed.
     """
     hop = int(estimator.hop[s.bin])
     rows = int(s.starts[-1]) // hop + 1
@@ -74,10 +76,10 @@ def pooled(
 
 @dataclass(frozen=True)
 class PoolNeeds:
-    """Largest remainders of drives beside each of P CANDIDATES, and their typical |yhat|.
+    """Largest remainders of drives for each of P CANDIDATES of W, and a sample of their pools.
 
-    ``largest`` is (K, P, n_y) [output units]. ``seen`` has the bins (K,) with frames by recording. ``sample``
-    has the columns ``group`` (bin), ``hash`` and ``size`` (F, n_y), sqrt(P).
+    ``largest`` is (K, P, n_y) [output units]. ``seen`` maps a recording to the mask (K,) of bins with frames.
+    ``sample`` has the columns ``group`` (bin), ``hash`` and ``size`` (F, n_y), which is sqrt(P).
     """
 
     largest: np.ndarray
@@ -86,7 +88,7 @@ class PoolNeeds:
 
     @classmethod
     def joined(cls, parts: Iterable[PoolNeeds]) -> PoolNeeds:
-        """Needs of all drives of the parts."""
+        """Needs of all drives together."""
         total: PoolNeeds | None = None
         for part in parts:
             if total is None:
@@ -102,7 +104,7 @@ class PoolNeeds:
 def needs_of(
     e: Experiment, frames: Iterable[FrameSet], estimator: Estimator, sizes: PoolSizes, n_y: int
 ) -> PoolNeeds:
-    """Needs of a drive."""
+    """Compute the needs of the drive ``e`` for pools of the ``sizes``."""
     largest, seen = np.zeros((estimator.n_bins, len(CANDIDATES), n_y)), np.zeros(estimator.n_bins, bool)
     rows = [{"group": np.zeros(0, int), "hash": np.zeros(0, np.uint64), "size": np.zeros((0, n_y))}]
     for s in frames:
@@ -123,9 +125,10 @@ def needs_of(
 class Remainders:
     """Largest remainders of drives, and samples of their pools.
 
-    ``largest`` is (K, n_y) [output units], ``blocks`` (b, K, n_y) those in blocks of one drive. Rows have
-    ``group`` (speed cell * K + bin), ``hash`` and ``size`` (F, n_y), sqrt(P). ``strongest`` has those of the
-    largest size in each output. ``sums`` are those of the limit of detection.
+    ``largest`` (K, n_y) [output units] holds the largest remainders, and ``blocks`` (b, K, n_y) those in each
+    block of one drive. Rows have ``group`` (speed cell * K + bin), ``hash`` and ``size`` (F, n_y), which is
+    sqrt(P). ``strongest`` holds the rows with the largest size of each output. ``sums`` are the sums for the
+    limit of detection.
     """
 
     largest: np.ndarray
@@ -143,13 +146,13 @@ class Remainders:
         sums: LimitSums,
         blocks: np.ndarray | None = None,
     ) -> Remainders:
-        """Thinned rows."""
+        """Remainders with samples of the given rows."""
         best = stacked(largest_of_each(strongest, column) for column in strongest["size"].T)
         return cls(largest, best, first_of_each(sample, SAMPLED_FRAMES), sums, blocks)
 
     @classmethod
     def joined(cls, parts: Iterable[Remainders]) -> Remainders:
-        """Remainders of all parts."""
+        """Remainders of all drives together."""
         parts = list(parts)
         return cls.of_rows(
             np.max([p.largest for p in parts], axis=0),
@@ -159,9 +162,9 @@ class Remainders:
         )
 
     def excitation(self, W: np.ndarray, B: np.ndarray, quantile: float) -> Excitation:
-        """Excitation of the pools by what a vehicle without response would show beside W and B (K, n_y).
+        """Excitation of the pools, from the ratio of a vehicle without response with W and B (K, n_y).
 
-        ``limit`` is the gain error that a test could see which knows the vehicle (T55).
+        ``limit`` is the gain error that a test with full knowledge of the vehicle could see (T55).
         """
 
         def shown(rows: Rows) -> Rows:
@@ -191,7 +194,7 @@ def remainders_of(
     sizes: PoolSizes,
     W: np.ndarray,
 ) -> Remainders:
-    """Remainders of a drive beside ``W`` (K, n_y); ``v`` (N,): its speed [m/s]."""
+    """Compute the remainders of the drive ``e`` for ``W`` (K, n_y). ``v`` (N,) is its speed [m/s]."""
     K, Ts, way = estimator.n_bins, estimator.Ts, np.concatenate([[0.0], np.cumsum(v)])
     blocks = np.zeros((int(block_of(len(v) * Ts)) + 1, *W.shape))
     met: list[tuple[np.ndarray, FrameSet]] = []
@@ -216,17 +219,18 @@ def remainders_of(
 
 @dataclass(frozen=True)
 class Pools:
-    """Bounds of pools of frames, and what they rest on.
+    """Bounds of pools of frames, and the remainders behind them.
 
     Attributes
     ----------
     sizes : PoolSizes
     W : ndarray (K, n_y), share of |yhat| that a pool allows for
-    floor : ndarray (K, n_y), least bound [output units]; infinite where the pool is silent
-    needs : dict, largest remainders (K, n_y) by recording [output units]
-    calibration : Calibration, of the calibration drives' scores
-    unit : float, ratio of a remainder that equals its bound, default 1
-    blocks : dict, largest remainders (b, K, n_y) in blocks by calibration drive; empty without a rate
+    floor : ndarray (K, n_y), least bound [output units], inf where the pool is silent
+    needs : dict, largest remainders (K, n_y) [output units], by recording
+    calibration : Calibration, from the scores of the calibration drives
+    unit : float, exported ratio of a remainder that equals its bound, default 1
+    blocks : dict, largest remainders (b, K, n_y) in blocks, by calibration drive
+        It is empty without a target rate.
     """
 
     sizes: PoolSizes
@@ -242,25 +246,26 @@ class Pools:
         return np.array(list(self.needs.values())).reshape(len(self.needs), *self.W.shape)
 
     def bound(self, without: str | None = None) -> np.ndarray:
-        """Bounds B (K, n_y) [output units] of all recordings but ``without``."""
+        """Bounds B (K, n_y) [output units] from all recordings except ``without``."""
         chosen = [x for n, x in self.needs.items() if n != without]
         return np.maximum(self.floor, np.max(chosen, axis=0, initial=0.0)) if chosen else self.floor
 
     def scale(self, without: str | None = None) -> np.ndarray:
-        """Unit over B (K, n_y), 0 where the pool is silent."""
+        """Unit divided by B (K, n_y), 0 where the pool is silent."""
         return self.unit / self.bound(without)
 
     def beside(self, threshold: float, own: float) -> Pools:
-        """The pools in the unit in which a ``threshold`` of frames is the ``own`` one of pools."""
+        """The pools in a unit in which their threshold ``own`` becomes the ``threshold`` of frames."""
         return replace(self, unit=threshold / own)
 
     def ratios(self, without: str | None = None) -> dict[str, float]:
-        """Largest remainder of every recording but ``without`` over the bound of the others."""
+        """Largest ratio of a remainder to the bound of all other recordings, for every recording except
+        ``without``."""
         bounds = self._bounds_of_others(without)
         return {n: float((self.needs[n] / bound).max()) for n, bound in bounds.items()}
 
     def _bounds_of_others(self, without: str | None) -> dict[str, np.ndarray]:
-        """Bound (K, n_y) of all others for every recording but ``without``."""
+        """Bound (K, n_y) from all other recordings, for every recording except ``without``."""
         kept = [i for i, n in enumerate(self.needs) if n != without]
         names, table = list(self.needs), self._table[kept]
         if not kept:
@@ -275,7 +280,8 @@ class Pools:
     def calibrated(
         self, drives: Iterable[str], alpha: float, recordings: Recordings, target: RateTarget | None = None
     ) -> Pools:
-        """The pools with the threshold from the scores of calibration drives; ``target`` has no maxima."""
+        """The pools with the threshold from the scores of calibration drives. ``target`` does not need
+        maxima."""
         ratio = self.ratios()
         scores = {d: ratio[recordings.named(d)] for d in drives}
         if target is not None:
@@ -283,7 +289,7 @@ class Pools:
         return replace(self, calibration=calibrate(scores, alpha, recordings=recordings, target=target))
 
     def maxima(self, recordings: Recordings, without: str | None = None) -> dict[str, list[float]]:
-        """Largest ratio in each block of every drive but those of the recording ``without``."""
+        """Largest ratio in each block of every drive, except drives of the recording ``without``."""
         bounds = self._bounds_of_others(without)
         named = {d: recordings.named(d) for d in self.blocks}
         return {
@@ -293,26 +299,26 @@ class Pools:
         }
 
     def target(self, without: str | None = None) -> RateTarget | None:
-        """Target of the rate, if any; ``without``: a drive whose recording is left out."""
+        """Target rate, if any. The recording of the drive ``without`` is left out."""
         c = self.calibration
         if c.target is None or without is None:
             return c.target
         return replace(c.target, maxima=self.maxima(c.recordings, c.recordings.named(without)))
 
     def scores(self, without: str | None = None) -> dict[str, float]:
-        """Score of every calibration drive; ``without``: a drive whose recording is left out."""
+        """Score of every calibration drive. The recording of the drive ``without`` is left out."""
         named = self.calibration.recordings.named
         out = None if without is None else named(without)
         ratio = self.ratios(out)
         return {d: ratio[named(d)] for d in self.calibration.scores if named(d) != out}
 
     def coefficients(self) -> tuple[dict[str, int], dict[str, np.ndarray], dict[str, np.ndarray]]:
-        """Sizes, words and numbers of coeff.h."""
+        """Sizes, whole numbers and real numbers of the pools for coeff.h."""
         words = {"pool_parts": self.sizes.parts, "pool_frames": self.sizes.frames}
         return {}, words, {"pool_W": self.W, "pool_scale": self.scale()}
 
     def to_dict(self) -> dict:
-        """JSON-able, for `from_dict`."""
+        """Convert to JSON types, for `from_dict`."""
         return {
             "parts": self.sizes.parts,
             "frames": self.sizes.frames,
@@ -325,7 +331,7 @@ class Pools:
 
     @classmethod
     def from_dict(cls, data: dict) -> Pools:
-        """Read back."""
+        """Pools from the result of `to_dict`."""
         floor = np.array(data["floor"], float)
         return cls(
             PoolSizes(np.array(data["parts"], int), np.array(data["frames"], int)),
@@ -338,11 +344,12 @@ class Pools:
 
 
 def chosen_share(needs: PoolNeeds, floor: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Choose W (K, n_y), which sees the smallest gain error at typical excitation, and the silent pools.
+    """Choose W (K, n_y) with the smallest visible gain error at typical excitation, and the mask of silent
+    pools.
 
-    ``needs`` are those of the bound-setting drives, ``floor`` (K, n_y) the sensors' limit [output units]. A
-    pool is silent where fewer than two recordings have frames, or where a vehicle without response would not
-    exceed the bound.
+    ``needs`` are those of the bound-setting drives. ``floor`` (K, n_y) is the limit of the sensors [output
+    units]. A pool is silent where fewer than two recordings have frames, or where a vehicle without response
+    would not exceed the bound.
     """
     W, silent = np.zeros(floor.shape), np.ones(floor.shape, bool)
     for k, j in np.ndindex(*floor.shape):

@@ -1,11 +1,12 @@
-"""Premise of a certificate, |delta| <= W_delta, tested by drives that did not set the bounds (THEORY 7.6).
+"""Test of the premise of a certificate, |delta| <= W_delta, by drives that did not set the bounds (THEORY
+7.6).
 
-At every frequency, output, speed cell and amplitude class of the judging drives,
+At every frequency, output, speed cell and amplitude class of the judging drives, the premise is
 
     refuted where W_delta < |delta_c| - k se,   doubtful where W_delta < |delta_c| + k se                (T33)
 
-W_delta is the certificate's weight: inflation included, Tustin's map of the frequency; 0 for K_inf, which is
-certified without uncertainty.
+W_delta is the weight of the certificate, with inflation and Tustin's map of the frequency. It is 0 for K_inf,
+which is certified without uncertainty.
 """
 
 from dataclasses import dataclass
@@ -19,9 +20,9 @@ from .identification import StoredIdentification
 
 @dataclass(frozen=True)
 class Least:
-    """Least ratio of W_delta to the judging drives' error, at ``omega`` [rad/s] and ``v`` [m/s].
+    """Least ratio of W_delta to the error of the judging drives, at ``omega`` [rad/s] and ``v`` [m/s].
 
-    ``delta`` is |delta_c|, ``spread`` k se; W_delta is there, too.
+    ``delta`` is |delta_c|, ``spread`` is k se, and ``W_delta`` is the weight at this frequency.
     """
 
     ratio: float
@@ -33,11 +34,11 @@ class Least:
     W_delta: float
 
     def sentence(self, sign: str) -> str:
-        """In words; ``sign``: of k se."""
+        """Sentence with the ratio. ``sign`` is the sign of k se."""
         return (
-            f"W_delta is {self.W_delta:.3g} beside |delta_c| {sign} k se = {self.delta:.3g} {sign} "
-            f"{self.spread:.3g} of {self.output} at {self.omega:.3g} rad/s and {self.v:.3g} m/s, "
-            f"{self.ratio:.3g} times"
+            f"W_delta = {self.W_delta:.3g} is {self.ratio:.3g} times |delta_c| {sign} k se = "
+            f"{self.delta:.3g} {sign} {self.spread:.3g} of {self.output} "
+            f"at {self.omega:.3g} rad/s and {self.v:.3g} m/s"
         )
 
 
@@ -47,10 +48,10 @@ class Premise:
 
     Attributes
     ----------
-    refuting : Least or None, against |delta_c| - k se, None if no drive objects
-    doubting : Least or None, against |delta_c| + k se
-    coverage : float or None, share of bound-setting drives that the others cover
-    folds : int, groups of these drives
+    refuting : Least or None, ratio to |delta_c| - k se, None where this is nowhere above 0
+    doubting : Least, ratio to |delta_c| + k se
+    coverage : float, share of the folds of bound-setting drives that the bound of the others covers
+    folds : int, number of these folds
     """
 
     refuting: Least | None
@@ -65,25 +66,22 @@ class Premise:
 
     @property
     def doubtful(self) -> bool:
-        """Whether such a drive leaves room for a larger error."""
+        """Whether such a drive allows an error above W_delta."""
         return self.doubting.ratio < 1
 
     def sentence(self) -> str:
-        """The evidence in words."""
-        least = "the drives that did not set the bounds ask for nothing"
+        """Sentence with the evidence."""
+        least = "the drives that did not set the bounds need no uncertainty"
         if self.refuting is not None:
-            least = f"of the drives that did not set the bounds, {self.refuting.sentence('-')}"
-        left_out = (
-            f"{self.coverage:.0%} of {self.folds} left out"
-            if self.folds
-            else "one drive alone, none left out"
-        )
+            least = f"for the drives that did not set the bounds, {self.refuting.sentence('-')}"
+        left_out = f"{self.coverage:.0%} of {self.folds}" if self.folds else "none, because there is only one"
         return (
-            f"premise |delta| <= W_delta at every frequency: {least}; drives left out and covered: {left_out}"
+            f"premise |delta| <= W_delta at every frequency: {least}; folds of drives that the bound of the "
+            f"other folds covers: {left_out}"
         )
 
     def to_dict(self) -> dict:
-        """JSON-able."""
+        """Convert to JSON types."""
         return {
             "sentence": self.sentence(),
             "refuting": None if self.refuting is None else vars(self.refuting),
@@ -94,7 +92,7 @@ class Premise:
 
 
 def weight_met(stored: StoredIdentification, omega: np.ndarray) -> np.ndarray:
-    """Compute |W_delta| as in certificates: inflation included, Tustin's map of the frequency.
+    """Compute |W_delta| of certificates, with inflation and Tustin's map of the frequency.
 
     Parameters
     ----------
@@ -123,7 +121,7 @@ def premise(stored: StoredIdentification) -> Premise:
     Raises
     ------
     InputError
-        If there are no such drives.
+        If there are no judging drives, or none is informative.
 
     References
     ----------
@@ -134,7 +132,7 @@ def premise(stored: StoredIdentification) -> Premise:
         raise InputError(
             stored.folder,
             "premise",
-            "no drive judges W_delta: every one set the bounds, or none is excited long enough",
+            "no drive judges W_delta: every drive set the bounds, or none is excited long enough",
             "drives of another split with excitation",
         )
     omega, names = error.grid.omega, [s.name for s in stored.project.outputs]
@@ -143,7 +141,7 @@ def premise(stored: StoredIdentification) -> Premise:
     if settings is not None and settings.structure == "K_inf":
         W = np.zeros_like(W)
     judging = error.judging
-    # An uninformative frame is no objection: it supported no claim beyond 1 + rho.
+    # An uninformative frame cannot refute, because it supports no claim beyond 1 + rho.
     informative = np.isfinite(judging.se) & (judging.k * judging.se < 1)
 
     def least(against: np.ndarray) -> Least | None:
@@ -188,7 +186,7 @@ def require_premise(stored: StoredIdentification) -> Premise:
     Raises
     ------
     InputError
-        If one does, or there are no such drives.
+        If a judging drive refutes it, or there are no judging drives.
     """
     judged = premise(stored)
     if judged.refuted and judged.refuting is not None:

@@ -1,8 +1,8 @@
 """Drives that the nominal model does not explain, and their cost.
 
-Such a drive (a slide, a crash, the wrong day or car) is bounded like every other: the bounds hold on it, and
-grow. Nothing is left out in silence. A user who finds that the model is not meant for the drive sets it aside
-in experiments.csv, with the reason.
+Such a drive may contain a slide or a crash, or belong to another day or car. It counts like every other
+drive: the bounds hold for it and therefore grow. No drive is left out automatically. A user can set a drive
+aside in experiments.csv, with a reason, if the model is not meant for it.
 """
 
 from collections.abc import Callable
@@ -27,20 +27,20 @@ from .scratch import scratch_core
 from .weights import coefficients_of
 
 UNEXPLAINED_VAF = 0.5
-"""Least explained share of an output's variance; below it a drive is called unexplained."""
+"""A drive is unexplained if the model explains less than this share of the variance of an output."""
 
 
 @dataclass(frozen=True)
 class Unexplained:
-    """A drive of which the model explains less than UNEXPLAINED_VAF of an output.
+    """A drive with an output of which the model explains less than UNEXPLAINED_VAF.
 
     Attributes
     ----------
     name : str
-    sets_bounds : bool, the drive sets the bounds; otherwise it calibrates
-    output : str
-    vaf : float, explained share of the output's variance
-    gain : float
+    sets_bounds : bool, whether the drive sets the bounds; otherwise it calibrates
+    output : str, the worst output
+    vaf : float, explained share of its variance
+    gain : float, gain of the output relative to the model
     """
 
     name: str
@@ -51,7 +51,7 @@ class Unexplained:
 
     def sentence(self) -> str:
         """Sentence with the drive, its role and the reason."""
-        left = f"the model leaves {1 - self.vaf:.0%} of {self.output}"
+        left = f"the model leaves {1 - self.vaf:.0%} of {self.output} unexplained"
         gain = f", gain {self.gain:.3f}" if np.isfinite(self.gain) else ""
         return f"{self.name} {'sets the bounds' if self.sets_bounds else 'calibrates'}, and {left}{gain}"
 
@@ -78,13 +78,13 @@ def unexplained(result: Identification) -> list[Unexplained]:
 
 
 def left_unexplained(project: Project, quality: Quality, sets_bounds: bool) -> Unexplained | None:
-    """Judge a drive by its worst output.
+    """Return the drive if the model does not explain its worst output.
 
     Parameters
     ----------
     project : Project
     quality : Quality, of the drive
-    sets_bounds : bool, otherwise it calibrates
+    sets_bounds : bool, whether the drive sets the bounds; otherwise it calibrates
 
     Returns
     -------
@@ -101,9 +101,10 @@ def left_unexplained(project: Project, quality: Quality, sets_bounds: bool) -> U
 
 @dataclass(frozen=True)
 class Cost:
-    """Injected faults in the remaining drives: their ``total``, and how many alarm.
+    """Numbers of faults that are injected into the remaining drives, and of those that alarm.
 
-    ``alarmed`` alarm with the bounds of all drives, ``alarmed_without`` with those of the other drives alone.
+    ``total`` faults are injected. ``alarmed`` of them alarm with the bounds of all drives, and
+    ``alarmed_without`` with the bounds of the other drives alone.
     """
 
     names: tuple[str, ...]
@@ -112,7 +113,7 @@ class Cost:
     total: int
 
     def to_dict(self) -> dict[str, Any]:
-        """Object of the JSON of `identify`."""
+        """Convert to JSON types, for the output of `identify`."""
         return {
             "names": self.names,
             "found": self.alarmed,
@@ -121,13 +122,13 @@ class Cost:
         }
 
     def sentences(self) -> list[str]:
-        """Cost of the drives, and the lines of experiments.csv that set them aside."""
+        """Sentences on the cost of the drives, and on how to set them aside."""
         these = "it" if len(self.names) == 1 else "them"
         return [
-            f"with {these}, {self.alarmed} of {self.total} faults as evaluate injects them alarm in the "
-            f"drives that calibrate; without {these}, {self.alarmed_without}",
-            f"where the model is not meant for {these}: write no and why into the columns use and reason of "
-            f"{EXPERIMENTS}, then fit and identify again",
+            f"with {these}, {self.alarmed} of {self.total} faults that evaluate injects into the drives that "
+            f"calibrate raise an alarm; without {these}, {self.alarmed_without} do",
+            f"if the model is not meant for {these}: write no into the column use of {EXPERIMENTS}, and the "
+            "reason into the column reason, then fit and identify again",
         ]
 
 
@@ -141,20 +142,20 @@ def cost(
 ) -> Cost | None:
     """Compute the cost of unexplained drives by an identification without them.
 
-    Every fault of the project's settings is injected into each calibration drive, from its first sample on. A
-    frozen output begins after a third of the drive.
+    Each fault of the project settings is injected into each calibration drive from the first sample on. Only
+    a frozen output begins after a third of the drive.
 
     Parameters
     ----------
     result : Identification
-    folder : Path, drives
+    folder : Path, folder of the drives
     named : list of Unexplained
     workers : Map
     progress : Callable, reports progress
 
     Returns
     -------
-    Cost, or None if too little remains to identify from, or without a core
+    Cost, or None if the other drives are not enough for an identification, or without a core
     """
     names = tuple(u.name for u in named)
     settings = result.project.evaluation
@@ -190,7 +191,7 @@ def _alarms(
 def _alarms_of_drive(
     reader: DriveReader, core: Core, settings: EvaluationSettings, experiment: Experiment
 ) -> int:
-    """Number of faults that alarm in a drive; 0 where it alarms untouched."""
+    """Number of faults that alarm in a drive, 0 where the drive alarms without a fault."""
     drive, Ts = reader.read(experiment)[0], reader.estimator.Ts
     if is_alarming(core.monitor().run_drive(drive).verdict).any():
         return 0

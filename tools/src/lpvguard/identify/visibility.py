@@ -1,8 +1,8 @@
-"""Smallest gain and delay error that the frame test can see, per speed cell and bin (T25; THEORY 7.4).
+"""Smallest gain and delay error that the frame test can see in each speed cell and bin (T25; THEORY 7.4).
 
-Both lists are made for two excitations. One is the strongest that occurred in any drive. The other is
-PERCENTILE, which one counted frame in ten reaches. t*(-Z, Z) orders excitation. For one output the order is
-that of |Z|; for several it needs no weighing of units.
+Both errors are computed for two excitations: the strongest one of all drives, and a typical one. One counted
+frame in ten exceeds the typical excitation (PERCENTILE). Excitation is ordered by t*(-Z, Z). For one output
+this is the order of |Z|. For several outputs it does not depend on their units.
 """
 
 from __future__ import annotations
@@ -16,9 +16,9 @@ from ..base.sampling import Rows, first_of_each, largest_of_each, row_hash, stac
 from ..engine.validation import s1
 
 PERCENTILE = 90
-"""Typical excitation: reached by one in ten counted frames of the speed cell and bin (nearest rank)."""
+"""Percentile of the typical excitation among the counted frames of a speed cell and bin (nearest rank)."""
 SAMPLED_FRAMES = 400
-"""Frames a cell and bin for the percentile, drawn by hash; all of them if there are no more."""
+"""Largest number of frames of a cell and bin for the percentile. More frames are sampled by hash."""
 SPEED_CELLS = 5
 STATED_GAINS = (0.6, 0.7)
 STATED_DELAYS_S = (0.3, 0.15)
@@ -26,12 +26,12 @@ STATED_DELAYS_S = (0.3, 0.15)
 
 @dataclass(frozen=True)
 class Excitation:
-    """Excitation of counted frames, in bounded memory, joined over drives by ``joined``.
+    """Excitation of counted frames in bounded memory.
 
     ``count`` (SPEED_CELLS, K) counts all frames. Each row holds ``group`` (cell * K + bin), ``hash``,
-    ``dead`` = t*(-Z, Z), ``size`` = |Z| [output units] and ``floor``. The floor is the gain error that no
-    excitation shows and no threshold enlarges: 0, or W of a pool (THEORY 7.17). The rows are the frame of the
-    largest ``dead`` of each group and a sample of SAMPLED_FRAMES.
+    ``dead`` = t*(-Z, Z), ``size`` = |Z| [output units] and ``floor``. The floor is the least visible gain
+    error at any excitation and threshold: 0, or W of a pool (THEORY 7.17). ``strongest`` has the frame with
+    the largest ``dead`` of each group. ``sample`` has at most SAMPLED_FRAMES frames of each group.
     """
 
     count: np.ndarray
@@ -53,8 +53,8 @@ class Excitation:
         """Excitation of the F counted frames of drive ``name``.
 
         The frames have the bins ``bin_of`` (F,), the mean speeds ``speed`` (F,) [m/s] and the outputs Z (F,
-        n_y) [output units]. ``number`` (F,) identifies the frames of a bin. ``speed_range`` [m/s] is cut into
-        SPEED_CELLS equal cells. The bounds are W_delta (K, n_delta) and B_w (K, n_y).
+        n_y) [output units]. ``number`` (F,) identifies the frames of a bin. ``speed_range`` [m/s] is divided
+        into SPEED_CELLS equal cells. The bounds are W_delta (K, n_delta) and B_w (K, n_y).
         """
         K = len(W_delta)
         group = speed_cell(speed_range, speed) * K + bin_of
@@ -71,12 +71,12 @@ class Excitation:
 
     @classmethod
     def of_rows(cls, count: np.ndarray, strongest: Rows, sample: Rows) -> Excitation:
-        """Excitation of rows, of which the strongest and a sample are kept."""
+        """Excitation with the strongest ones and a sample of the given rows."""
         return cls(count, *cls._selected(strongest, sample))
 
     @classmethod
     def joined(cls, parts: Iterable[Excitation]) -> Excitation:
-        """Excitation of the frames of all parts."""
+        """Excitation of the frames of all drives together."""
         parts = list(parts)
         return cls(
             np.sum([p.count for p in parts], axis=0),
@@ -84,7 +84,7 @@ class Excitation:
         )
 
     def evidence(self, bins: int) -> np.ndarray:
-        """Largest evidence t*(-Z, Z) (K,) by bin, 0 without a frame; ``bins``: K."""
+        """Largest evidence t*(-Z, Z) (K,) in each of K = ``bins`` bins, 0 without a frame."""
         largest = np.zeros(bins)
         np.maximum.at(largest, self.strongest["group"] % bins, self.strongest["dead"])
         return largest
@@ -95,7 +95,7 @@ class Excitation:
 
 
 def speed_cell(speed_range: tuple[float, float], speed: np.ndarray) -> np.ndarray:
-    """Cell of each speed (F,) [m/s]; a speed outside the range has the nearest one."""
+    """Cell of each speed (F,) [m/s]. A speed outside the range belongs to the nearest cell."""
     cell = np.searchsorted(_edges(speed_range), speed, side="right") - 1
     return np.clip(cell, 0, SPEED_CELLS - 1)
 
@@ -114,16 +114,16 @@ def visibility(
     silent: Collection[int] = (),
     pools: tuple[Excitation, float] | None = None,
 ) -> dict:
-    """Smallest visible errors per speed cell and bin; JSON-able, None where no frame counts.
+    """Smallest visible errors in each speed cell and bin, as JSON types, with None where no frame counts.
 
-    An error is visible where a frame or a pool of frames shows it.
+    An error is visible where a frame or a pool of frames shows it. ``omega`` (K,) [rad/s] is 0 at DC.
+    ``W_delta`` (K, n_delta) is the weight behind ``met``, and ``inflation`` is a later factor on it and on
+    B_w. Frames of the bins ``silent`` raise no alarm and show nothing. ``pools`` are the excitation and the
+    threshold of the pools.
 
-    ``omega`` (K,) [rad/s] is 0 at DC. ``W_delta`` (K, n_delta) is as in ``met``, and ``inflation`` is the
-    later factor on it and on B_w. ``silent`` are bins that raise no alarm, so frames show nothing there.
-    ``pools`` are the excitation and the threshold of the pools.
-    ``at_percentile`` and ``at_strongest`` list the cells. The lists of a cell run over the bins: ``frames``,
-    ``excitation`` |Z| [output units], ``gain_error`` [-], its ``limit`` (T55) and ``delay_s``. The latter is
-    None at DC and where no delay is large enough.
+    ``at_percentile`` and ``at_strongest`` list the cells. Each cell has lists over the bins. They are
+    ``frames``, ``excitation`` (|Z| in output units), ``gain_error`` [-], its ``limit`` (T55) and ``delay_s``.
+    A delay is None at DC and where no delay has an error of this size.
     """
     edges = _edges(speed_range)
 
@@ -163,14 +163,15 @@ def visibility(
 
 
 def _chosen(rows: Rows, K: int, c: int, percentile: float) -> list[int | None]:
-    """Row of each of K bins of cell ``c`` at the percentile of excitation; None without any."""
+    """Index of the row at the percentile of excitation, for each of K bins of cell ``c``; None without
+    rows."""
     return [
         _at_percentile(rows["dead"], np.flatnonzero(rows["group"] == c * K + k), percentile) for k in range(K)
     ]
 
 
 def _gains(rows: Rows, chosen: list[int | None], level: float) -> list[float | None]:
-    """Gain error of the chosen rows with which they reach ``level``, in units of their weights."""
+    """Gain error with which each chosen row reaches ``level``."""
 
     def gain(dead: float, floor: float) -> float | None:
         return None if dead == 0 else floor + level * (1 / dead - floor)
@@ -179,7 +180,7 @@ def _gains(rows: Rows, chosen: list[int | None], level: float) -> list[float | N
 
 
 def _cell(omega: np.ndarray, count: np.ndarray, size: list[float | None], gain: list[float | None]) -> dict:
-    """A speed cell: frames, |Z| and visible gain error by bin."""
+    """Entry of a speed cell, from the frames, |Z| and visible gain error of each bin."""
     K = len(omega)
     delay = [_delay(g, w) for g, w in zip(gain, omega, strict=False)]
     return {
@@ -201,7 +202,7 @@ def _cell(omega: np.ndarray, count: np.ndarray, size: list[float | None], gain: 
 
 
 def _at_percentile(values: np.ndarray, members: np.ndarray, percentile: float) -> int | None:
-    """Index of the member whose value has the nearest rank to ``percentile``; None without members."""
+    """Index of the member whose value has the nearest rank to ``percentile``, or None without members."""
     if not len(members):
         return None
     rank = int(np.ceil(percentile / 100 * len(members))) - 1
@@ -209,19 +210,21 @@ def _at_percentile(values: np.ndarray, members: np.ndarray, percentile: float) -
 
 
 def _delay_error(omega: np.ndarray | float, tau: float) -> np.ndarray:
-    """|1 - exp(-j omega tau)|."""
+    """Size |1 - exp(-j omega tau)| of the error of a delay tau [s]."""
     return 2 * np.abs(np.sin(np.asarray(omega) * tau / 2))
 
 
 def _delay(gain_error: float | None, omega: float) -> float | None:
-    """Smallest delay [s] whose error reaches ``gain_error``; no delay gives an error above 2, or any at
-    DC."""
+    """Smallest delay [s] whose error reaches ``gain_error``, or None.
+
+    A delay has an error of at most 2, and of 0 at DC.
+    """
     if gain_error is None or omega == 0 or gain_error > 2:
         return None
     return float(2 * np.arcsin(gain_error / 2) / omega)
 
 
 def _seen(gain_error: list[float | None], error: np.ndarray) -> bool | None:
-    """Whether an error of size ``error`` (K,) is visible in any bin; None where the cell has no frames."""
+    """Whether an error of size ``error`` (K,) is visible in any bin, or None where the cell has no frames."""
     known = [(g, e) for g, e in zip(gain_error, error, strict=False) if g is not None]
     return any(e > g for g, e in known) if known else None

@@ -1,5 +1,5 @@
-"""Weights of an identification: rational magnitudes above the bounds (steps 6 and 7), and their numbers in
-the core."""
+"""Weights of an identification, which lie above the bounds (steps 6 and 7), and their coefficients in the
+core."""
 
 from __future__ import annotations
 
@@ -29,33 +29,33 @@ from .healthy import HealthySet
 from .pools import Pools
 
 DC_STAND_IN = 0.1
-"""Fraction of the lowest bin's frequency at which DC's bound stands on a logarithmic axis."""
+"""On the logarithmic axis the bound of DC is placed at this fraction of the frequency of the lowest bin."""
 SMALLEST_NU = 1e-3
-"""Floor of the uncertainty bound where the data need none: a weight must be positive."""
+"""Floor of the uncertainty bound where the data need none, because a weight must be positive."""
 RISE, FALL = 3.0, 2.0
 """Steepest rise and fall of the uncertainty bound, in powers of the frequency."""
 LEAST_SHARE = 0.1
-"""Floor of step 7, as a part of B_w.
+"""Floor of the result of step 7, as a share of B_w.
 
-Less is left only where two weights happen to be equal, each of them a fit to some tenths of a dB. A floor
-above what is left covers it. A floor far below would put a notch into the bound that no weight of low order
-follows.
+A smaller difference is only accidental, because both weights are fits with errors of some tenths of a dB. The
+floor lies above this difference and therefore covers it. A much lower floor would make a notch in the bound
+that no weight of low order can follow.
 """
 RATIO_RTOL, RATIO_ATOL_DB = 1e-8, 1e-7
-"""Rounding of a proved ratio of weight over bound, and of its decibels."""
+"""Rounding error of a proved ratio of weight to bound: relative, and in dB."""
 LISTED = ("W_w", "W_n", "W_w_S0", "W_C", "W_delta")
-"""Weights of which weights.json holds a list."""
+"""Weights that are lists in weights.json."""
 
 
 @dataclass(frozen=True)
 class FittedWeight:
-    """A weight with the samples that it was fitted above.
+    """A weight with the samples of its bound.
 
     Attributes
     ----------
     fit : OverboundFit
     omega : ndarray (K',), rad/s
-    bound : ndarray (K',), NaN: no data
+    bound : ndarray (K',), NaN without data
     """
 
     fit: OverboundFit
@@ -67,7 +67,7 @@ class FittedWeight:
         return self.fit.weight.magnitude(omega)
 
     def to_dict(self) -> dict:
-        """JSON-able: the weight, its fit, and its samples."""
+        """Convert to JSON types: the weight, its fit, and its samples."""
         f = self.fit
         return {
             "weight": f.weight.to_dict(),
@@ -91,16 +91,16 @@ class Weights:
     W_w : list (n_y,) of FittedWeight, disturbance
     W_delta : list (n_delta,) of FittedWeight, uncertainty
     gamma_w : FittedWeight, disturbance bound of step 4
-    W_n : list (n_y,) of FittedWeight, noise; empty without zero-input drives
+    W_n : list (n_y,) of FittedWeight, noise; empty without drives without input
     W_w_S0 : list (n_y,) of FittedWeight, disturbance of class S0 (K_inf), for synthesis; may be empty
     W_C : list of FittedWeight, command, for synthesis; may be empty
-    floored : dict, frequencies [rad/s] by weight where B_w has nothing above the sensor's share (step 7)
+    floored : dict, by weight, frequencies [rad/s] where the sensor explains all of B_w (step 7)
     disturbance_set : str
-    healthy : HealthySet or None, bounds of the frame test; None: it asks the fitted weights
-    W_delta_healthy : list of FittedWeight, above its W_delta, for the energy test; may be empty
+    healthy : HealthySet or None, bounds of the frame test, which uses the fitted weights without it
+    W_delta_healthy : list of FittedWeight, above W_delta of ``healthy``, for the energy test; may be empty
     inflation : float
     silent : tuple of int
-        Bins without evidence above 1, which set no threshold and raise no alarm (THEORY 7.1).
+        Bins without evidence above 1. They do not affect the threshold and raise no alarm (THEORY 7.1).
     """
 
     W_w: list[FittedWeight]
@@ -117,8 +117,10 @@ class Weights:
     silent: tuple[int, ...] = ()
 
     def at(self, omega: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """W_delta (K, n_delta) and B_w (K, n_y) of the certificate at omega (K,): with inflation and the
-        sensor's share."""
+        """W_delta (K, n_delta) and B_w (K, n_y) of the certificate at omega (K,).
+
+        They include the inflation and the share of the sensor.
+        """
         B_w = np.column_stack([w.magnitude(omega) for w in self.W_w])
         if self.W_n:
             W_n = np.column_stack([w.magnitude(omega) for w in self.W_n])
@@ -127,21 +129,24 @@ class Weights:
         return self.inflation * W_delta, self.inflation * B_w
 
     def of_frames(self, omega: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """W_delta (K, n_delta) and B_w (K, n_y) of the frame test at the bins omega (K,), inflation included:
-        the healthy set, or without one `at`."""
+        """W_delta (K, n_delta) and B_w (K, n_y) of the frame test at the bins omega (K,).
+
+        They are those of the healthy set, or else of `at`, and include the inflation.
+        """
         if self.healthy is None:
             return self.at(omega)
         return self.inflation * self.healthy.W_delta, self.inflation * self.healthy.B_w
 
     def of_core(self, omega: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-        """`of_frames`, then `at`, as in the core: without a bound on the disturbance in silent bins."""
+        """Yield the results of `of_frames` and of `at` for the core, with an unlimited disturbance in silent
+        bins."""
         for W_delta, B_w in (self.of_frames(omega), self.at(omega)):
             B_w = B_w.copy()
             B_w[list(self.silent)] *= UNBOUNDED
             yield W_delta, B_w
 
     def to_dict(self) -> dict:
-        """JSON-able, for `from_dict`."""
+        """Convert to JSON types, for `from_dict`."""
         lists = {key: [w.to_dict() for w in getattr(self, key)] for key in LISTED}
         of_energy = [w.to_dict() for w in self.W_delta_healthy]
         return lists | {
@@ -156,7 +161,8 @@ class Weights:
 
     @classmethod
     def from_dict(cls, data: dict, source: str) -> Weights:
-        """Read back and prove every certificate again; InputError for a failing one."""
+        """Weights from the result of `to_dict`, with a new proof of every certificate. Raises InputError if
+        one fails."""
 
         def weight(entry: dict, name: str) -> FittedWeight:
             omega = np.array(entry["omega_rad_s"], float)
@@ -190,7 +196,7 @@ class Weights:
                 source,
                 "W_delta",
                 "one weight" if data["W_delta"] else "no weight",
-                "a list, one a Delta: identify the drives again",
+                "a list with one weight for each Delta, from a new identification",
             )
         inflation = data["inflation"]
         if (
@@ -215,10 +221,11 @@ class Weights:
 
 
 def _require_stated(source: str, name: str, entry: dict, proved: Certificate) -> None:
-    """InputError unless an entry of weights.json states of its weight what ``proved`` says of it.
+    """Raise InputError unless the statements of an entry of weights.json agree with the certificate
+    ``proved``.
 
-    The upper limit of weight over bound may not be below the one proved, nor below the level that is stated
-    as out of reach for the order.
+    The stated upper limit of weight / bound must be at least the proved one. It must also be at least the
+    stated optimum of the order.
     """
     stated, highest = entry["certificate"], 20 * np.log10(proved.max_ratio)
     checks = {
@@ -234,14 +241,14 @@ def _require_stated(source: str, name: str, entry: dict, proved: Certificate) ->
             raise InputError(
                 source,
                 f"{name}.{key}",
-                f"is not proved: weight over bound lies in {proved.min_ratio:.9g} .. {proved.max_ratio:.9g}, "
+                f"is not proved: weight / bound lies in {proved.min_ratio:.9g} .. {proved.max_ratio:.9g}, "
                 f"{highest:.6g} dB, up to {proved.omega_max:.4g} rad/s",
-                "what `lpvguard identify` wrote",
+                "the value that `lpvguard identify` wrote",
             )
 
 
 def fitting_grid(estimator: Estimator) -> np.ndarray:
-    """Return the frequencies at which weights are fitted: those of the bins, with a replacement for DC.
+    """Return the frequencies of the fits: those of the bins, with a low frequency in place of DC.
 
     Parameters
     ----------
@@ -261,7 +268,7 @@ def smallest_disturbance(B2: np.ndarray) -> float:
 
     Parameters
     ----------
-    B2 : ndarray (K,), output units, NaN: no data
+    B2 : ndarray (K,), output units, NaN without data
 
     Returns
     -------
@@ -273,14 +280,14 @@ def smallest_disturbance(B2: np.ndarray) -> float:
 def uncertainty_samples(
     estimator: Estimator, nu: np.ndarray, omega: np.ndarray, error_bound: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Samples for W_delta: frequencies (S,) [rad/s] and bound (S,), NaN at the replacement of DC.
+    """Samples for W_delta: frequencies (S,) [rad/s] and bound (S,), NaN at the frequency in place of DC.
 
-    ``error_bound`` (G,) at ``omega`` (G,) is the bound of the model error model (THEORY 7.6). It is log-log
-    between its frequencies. ``nu`` (K,) is the bound of the frames of step 5 at the bins. It is 0 at DC by
-    definition. Below the lowest bin any small value will do (paper, step 6).
+    ``error_bound`` (G,) at ``omega`` (G,) is the bound of the model error model (THEORY 7.6). Between its
+    frequencies it is interpolated log-log. ``nu`` (K,) is the bound of the frames of step 5 at the bins, 0 at
+    DC by definition. Below the lowest bin any small value is possible (paper, step 6).
 
     Dips that a weight of low order cannot follow are filled. The bound rises at most as omega^RISE and falls
-    at most as omega^-FALL. One deep dip would otherwise worsen the best worst ratio at every frequency.
+    at most as omega^-FALL. Otherwise one deep dip would increase the least worst ratio of the whole fit.
     """
     bins = fitting_grid(estimator)
     samples = np.union1d(bins, omega)
@@ -302,7 +309,8 @@ def fit_uncertainty(
     project : Project
     estimator : Estimator
     omega : ndarray (G,), rad/s
-    column : tuple of nu, ndarray (K,), model error bound, ndarray (G,), and a name for errors, of one Delta
+    column : tuple, for one Delta
+        It holds nu, ndarray (K,), the model error bound, ndarray (G,), and a name for errors.
 
     Returns
     -------
@@ -311,11 +319,11 @@ def fit_uncertainty(
     Raises
     ------
     InputError
-        If no weight of the project's order fits.
+        If no weight of the allowed orders can be certified.
 
-    References
-    ----------
-    Paper, step 6; THEORY 7.6.
+        References
+        ----------
+        Paper, step 6; THEORY 7.6.
     """
     nu, error_bound, name = column
     samples, bound = uncertainty_samples(estimator, nu, omega, error_bound)
@@ -325,7 +333,8 @@ def fit_uncertainty(
 def with_healthy(
     project: Project, estimator: Estimator, weights: Weights, healthy: HealthySet, workers: Map = map
 ) -> Weights:
-    """The weights with the ``healthy`` set of the frame test, and W_delta of the energy test above it."""
+    """The weights with the ``healthy`` set of the frame test, and with W_delta of the energy test above this
+    set."""
     omega, names = estimator.omega[1:], [f"healthy W_delta {j + 1}" for j in range(project.n_delta)]
     none = np.full((estimator.n_bins, project.n_delta), np.nan)
     columns = zip(none.T, healthy.W_delta[1:].T, names, strict=True)
@@ -342,8 +351,8 @@ def fit_bound(
     ----------
     project : Project
     estimator : Estimator
-    bound : ndarray (K,), NaN: no data
-    name : str, for errors
+    bound : ndarray (K,), NaN without data
+    name : str, name for errors
     floor : float, unit of the bound
 
     Returns
@@ -355,7 +364,7 @@ def fit_bound(
     InputError
         If no weight of the project's order fits.
     """
-    # The proof is against the bound with the floor.
+    # The proof uses the bound with the floor.
     return _fitted(
         project, fitting_grid(estimator), np.where(np.isnan(bound), np.nan, np.fmax(bound, floor)), name
     )
@@ -379,16 +388,17 @@ def fit_weights(
     command: np.ndarray,
     workers: Map = map,
 ) -> Weights:
-    """Steps 6 and 7 for the fitted ``W_delta``.
+    """Fit the weights of steps 6 and 7 for the fitted ``W_delta``.
 
-    ``noise``, ``error`` (K, n_y): peaks of E without and with input; ``command`` (K,): of the controlled
-    output. ``workers`` share the weights. Without zero-input drives (``noise`` all NaN) B_w is W_w. W_C is
-    fitted with them, or for a design.
+    ``noise`` and ``error`` (K, n_y) are the peaks of E without and with input. ``command`` (K,) is the peak
+    of the controlled output. ``workers`` fit the weights in parallel. Without drives without input (``noise``
+    is NaN) W_w is B_w. W_C is fitted only with such drives, or for a design.
     """
     floor = smallest_disturbance(bounds.B2)
     names = [s.name for s in project.outputs]
     disturbance_set = project.bounds.disturbance_set
-    # A covering set is an ellipsoid: n_y outputs at their peaks together need sqrt(n_y).
+    # A covering set is an ellipsoid. If all n_y outputs are at their peaks together, it needs the factor
+    # sqrt(n_y).
     cover = np.sqrt(project.n_y) if disturbance_set == "covering" else 1.0
     bounds_by_weight = [(bounds.B_w, "B_w")]
     if not np.isnan(noise).all():
@@ -429,7 +439,7 @@ def disturbance_weights(
     what: str = "W_w",
     workers: Map = map,
 ) -> tuple[list[FittedWeight], list[list[float]]]:
-    """Fit W_w per output, the part of B_w above the sensor's share (step 7).
+    """Fit W_w of each output, the part of B_w that the noise of the sensor does not explain (step 7).
 
     Parameters
     ----------
@@ -442,7 +452,8 @@ def disturbance_weights(
 
     Returns
     -------
-    tuple of list of FittedWeight and list of the frequencies [rad/s] where nothing is left
+    tuple of two lists
+        The FittedWeights, and the frequencies [rad/s] where the sensor explains all of B_w.
 
     Raises
     ------
@@ -477,7 +488,7 @@ def coefficients_of(
     change: ChangeTest,
     pools: Pools | None = None,
 ) -> Coefficients:
-    """Coefficients of the core for these weights; without ``pools`` these have no bounds."""
+    """Coefficients of the core for these weights. Without ``pools`` the pools have no bounds."""
     frames, certificate = weights.of_core(estimator.omega)
     return build_coefficients(
         project, model, estimator, *frames, threshold, energy, change, pools, certificate
@@ -492,8 +503,7 @@ def _largest_ratio(numerator: Weight, denominator: Weight) -> float:
 
 
 def energy_filters(project: Project, estimator: Estimator, weights: Weights) -> EnergyTest:
-    """Filters of the energy test for these weights, without sigma. InputError for weights of another
-    structure."""
+    """Energy test for these weights, without sigma. Raises InputError for weights of another structure."""
 
     def designed(fitted: list[FittedWeight]) -> EnergyTest:
         bound = np.column_stack([w.bound for w in fitted])

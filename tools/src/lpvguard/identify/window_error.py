@@ -1,9 +1,9 @@
-"""Error of windowed spectra where dynamics are inverted: class S2 and the general LFT (THEORY 4.2).
+"""Error of windowed spectra where dynamics are inverted, for class S2 and the general LFT (THEORY 4.2).
 
-Class S1 compares windowed spectra of e and yhat and inverts nothing. Class S2 needs xi_s in G_d xi_s = (z
-I - Ad) d, with d = x - x_nom. A Hann frame of x_{n+1} is z times that of x_n only approximately. Here a known
-white xi_s [state units per s] drives the nominal model at frozen speeds. xi_s is then recovered from frames
-of d; its relative error is the error of frames. For the plain DFT with x_0 - x_N known it is rounding.
+Class S1 compares windowed spectra of e and yhat and inverts no dynamics. Class S2 needs xi_s in G_d xi_s = (z
+I - Ad) d, with d = x - x_nom. A Hann frame of x_{n+1} is only approximately z times that of x_n. Here a known
+white xi_s [state units per s] drives the nominal model at frozen speeds. xi_s is then estimated from frames
+of d, and its relative error is the window error. For the plain DFT with known x_0 - x_N it is only rounding.
 """
 
 from collections.abc import Iterator
@@ -16,14 +16,17 @@ from ..drives.frames import Estimator
 from ..vehicle.nominal import NominalModel, recursion
 
 SPEEDS = 3
-"""Frozen speeds over the whole range; the largest of their medians and percentiles is stated."""
+"""Number of frozen speeds over the whole range. The result is the largest median and percentile over these
+speeds."""
 FRAMES = 40
 PERCENTILE = 90
 
 
 def window_error(model: NominalModel, estimator: Estimator, seed: int) -> dict[str, np.ndarray]:
-    """``median`` and ``percentile`` (K,) of |xi_hat - xi| / |xi| over FRAMES frames a bin, at the worst of
-    SPEEDS speeds."""
+    """``median`` and ``percentile`` (K,) of |xi_hat - xi| / |xi| over FRAMES frames of each bin.
+
+    They are the largest over SPEEDS speeds.
+    """
     errors = [_at_speed(model, estimator, v, seed) for v in np.linspace(*model.speed_range, SPEEDS)]
     return {
         "median": np.max([np.median(e, axis=0) for e in errors], axis=0),
@@ -32,7 +35,7 @@ def window_error(model: NominalModel, estimator: Estimator, seed: int) -> dict[s
 
 
 def _at_speed(model: NominalModel, estimator: Estimator, v: float, seed: int) -> np.ndarray:
-    """Relative errors (FRAMES, K) at speed v."""
+    """Relative errors (FRAMES, K) at the speed v [m/s]."""
     n = model.n
     A = model.matrices(np.array([v]))[0][0]
     both = expm(np.block([[A, np.eye(n)], [np.zeros((n, 2 * n))]]) * model.Ts)
@@ -43,7 +46,7 @@ def _at_speed(model: NominalModel, estimator: Estimator, v: float, seed: int) ->
     z = np.exp(1j * estimator.omega * estimator.Ts)
     out = np.empty((FRAMES, estimator.n_bins))
     for k, starts, true, D in _frames(xi, d, model.settle_samples, estimator):
-        # The plain DFT takes z (d_0 - d_N) out; a Hann window has no such term, which is its error.
+        # The plain DFT subtracts z (d_0 - d_N). A Hann window has no such correction, which causes its error.
         ends = (
             (d[starts] - d[starts + estimator.length[k]]) * estimator.kernel(k)[0]
             if estimator.window == "rectangular"
@@ -57,9 +60,9 @@ def _at_speed(model: NominalModel, estimator: Estimator, v: float, seed: int) ->
 def _frames(
     xi: np.ndarray, d: np.ndarray, first: int, estimator: Estimator
 ) -> Iterator[tuple[int, np.ndarray, np.ndarray, np.ndarray]]:
-    """Per bin: number, starts (F,), frames of xi and of d (F, n)."""
+    """Yield for each bin its number, starts (F,), frames of xi and frames of d (F, n)."""
     both, n = np.hstack([xi, d]), d.shape[1]
-    if estimator.window == "rectangular":  # all bins have the same frames: one transform for all
+    if estimator.window == "rectangular":  # all bins have the same frames, so one transform is enough
         starts = first + estimator.hop[0] * np.arange(FRAMES)
         every = lines(np.stack([both[s : s + estimator.length[0]] for s in starts]), estimator)
         for k in range(estimator.n_bins):

@@ -1,4 +1,4 @@
-"""A bound given by samples: checked, without empty bins, scaled to values near one.
+"""Checked samples of a bound, without empty bins, scaled to values near one.
 
 Between samples, ln bound is linear in ln w. Below the first sample and above the last it is constant.
 """

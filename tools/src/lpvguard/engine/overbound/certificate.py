@@ -2,8 +2,8 @@
 
 A grid proves nothing between its points, so the proof treats one piece of the bound after the other. With y =
 w^2, |W|^2 = N(y)/D(y) for polynomials N and D. On one piece bound^2 = c y^q with a real q, which is not a
-polynomial. But y^q is convex (q <= 0 or q >= 1) or concave (0 < q < 1). A straight line L lies above it on
-[a, b]: the chord if it is convex, a tangent if it is concave.
+polynomial. However, y^q is convex (q <= 0 or q >= 1) or concave (0 < q < 1). A straight line L therefore lies
+above bound^2 on [a, b]: the chord if it is convex, a tangent if it is concave.
 
 N - r^2 L D is then a polynomial. If all its Bernstein coefficients on [a, b] are >= 0, the polynomial is >=
 0, because it is a convex combination of them. Then |W| >= r bound on [a, b]. If a coefficient is negative,
@@ -11,7 +11,7 @@ the interval is halved. L and the Bernstein coefficients converge quadratically,
 is a piece with q = 0; [w_K, inf) becomes such a piece in 1/y.
 
 The coefficients of N and D follow from those of W in rational arithmetic. All other rounding errors are
-subtracted (up to one rounding of the frequency). A proved ratio is 5e-10 below the attained ratio, so a
+subtracted, except one rounding of the frequency. A proved ratio is 5e-10 below the attained ratio, so a
 weight that only touches its bound is not accepted. Routh's array in rational arithmetic decides stability and
 minimum phase. The same search with N and D exchanged bounds the worst ratio from above.
 """
@@ -32,7 +32,8 @@ _PROOF_MARGIN = 1e-9
 """Relative distance, on |W|^2, of a proved ratio below the attained ratio."""
 
 _PATIENCE = 18
-"""Number of halvings after which each one multiplies the margin by four, because rounding stops the proof."""
+"""After this number of halvings, each further one multiplies the margin by four, because rounding stops the
+proof."""
 
 _MAX_HALVINGS = 28
 _MAX_TESTS = 300_000
@@ -42,15 +43,15 @@ _ROUNDING = 1e-13
 
 @dataclass(frozen=True)
 class Certificate:
-    """Proved facts about a weight and a bound.
+    """Proved properties of a weight and a bound.
 
     Attributes
     ----------
     ok, stable, minimum_phase : bool
     min_ratio, max_ratio : float, min_ratio <= |W|/bound <= max_ratio for all 0 <= w <= omega_max
-    min_ratio_at, max_ratio_at : float, rad/s, where the ratio is attained within 1e-9
+    min_ratio_at, max_ratio_at : float, rad/s, frequencies that attain the ratios within 1e-9
     omega_max : float, rad/s, inf, or the last sample if W is strictly proper
-    intervals : int, Bernstein tests made
+    intervals : int, number of Bernstein tests
     without_data : tuple of float, rad/s, frequencies of NaN samples, over which the bound is interpolated
     """
 
@@ -82,16 +83,16 @@ def verify_overbound(
     omega : array_like (K,), rad/s
     bound : array_like (K,), unit of the weighted signal
     floor : float, optional, replaces smaller bounds
-    name : str, of the bound, for messages, default ''
+    name : str, name of the bound in messages, default ''
 
     Returns
     -------
-    Certificate, whose ``ok`` means W stable, minimum-phase and above the bound
+    Certificate, whose ``ok`` means that W is stable, minimum-phase and above the bound
 
     Raises
     ------
     InputError
-        If the samples are no bound.
+        If the samples are not a valid bound.
 
     References
     ----------
@@ -134,7 +135,7 @@ def is_hurwitz(coefficients: np.ndarray) -> bool:
 
 
 def squared(coefficients: np.ndarray, unit: float) -> np.ndarray:
-    """Coefficients of |p(j w)|^2 (n + 1,) in y = (w/unit)^2, ascending, each rounded once.
+    """Coefficients (n + 1,) of |p(j w)|^2 in ascending powers of y = (w/unit)^2, each rounded once.
 
     ``coefficients`` (n + 1,) of p(s) in descending powers; ``unit`` in rad/s.
     """
@@ -149,7 +150,7 @@ def squared(coefficients: np.ndarray, unit: float) -> np.ndarray:
 
 @cache
 def _blossom(degree: int) -> tuple[np.ndarray, ...]:
-    """Share (degree + 1, i + 1) of hi^j lo^(i - j) of the power y^i in Bernstein coefficient k."""
+    """Weights (degree + 1, i + 1) of hi^j lo^(i - j) in Bernstein coefficient k of the power y^i."""
     return tuple(
         np.array(
             [
@@ -164,8 +165,8 @@ def _blossom(degree: int) -> tuple[np.ndarray, ...]:
 def _bernstein(lo: np.ndarray, hi: np.ndarray, degree: int) -> np.ndarray:
     """Bernstein coefficients (degree + 1, M, degree + 1) on [lo, hi] (M,) of every power of y.
 
-    They follow from the blossom: coefficient k of y^i is the mean of all products of i out of (degree-k) lo's
-    and k hi's. For 0 <= lo <= hi nothing cancels within a monomial.
+    They follow from the blossom. Take all products of i factors out of (degree-k) times lo and k times hi.
+    Coefficient k of y^i is their mean. For 0 <= lo <= hi nothing cancels within a monomial.
     """
     of_lo, of_hi = (x[:, None] ** np.arange(degree + 1) for x in (lo, hi))
     return np.stack(
@@ -181,11 +182,12 @@ _Pieces = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 def _least_ratio(
     top: np.ndarray, bottom: np.ndarray, samples: SampledBound, strict: bool
 ) -> tuple[float, float, int]:
-    """Proved lower bound of inf sqrt(top/bottom)/bound, its frequency (rad/s, within 1e-9), number of tests.
+    """Proved lower bound of inf sqrt(top/bottom)/bound, its frequency (rad/s, within 1e-9) and number of
+    tests.
 
-    ``top``, ``bottom``: polynomials in y, ascending, same unit as ``samples``; bottom >= 0. Returns 0 and the
-    frequency if no positive ratio could be proved. With ``strict``, frequencies beyond the last sample are
-    left out.
+    ``top`` and ``bottom`` are polynomials in ascending powers of y, in the unit of ``samples``, with bottom
+    >= 0. Returns 0 and the frequency if no positive ratio could be proved. With ``strict``, frequencies
+    beyond the last sample are left out.
     """
     size = max(len(top), len(bottom))
     top, bottom = (np.pad(p, (0, size - len(p))) for p in (top, bottom))

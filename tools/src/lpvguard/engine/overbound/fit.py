@@ -8,8 +8,8 @@ The *worst ratio* is sup |W|/bound over all w, the ends included. A strictly pro
 constant for all w, so its claims end at the last sample.
 
 Linear programs find the squared magnitude with the least worst ratio (``minimax``). The weight consists of
-its left-half-plane spectral factors. Finally the scalar gain ``inflation`` lifts the weight by the deficit
-between the grid points, which the certificate (``certificate``) found.
+its left-half-plane spectral factors. The certificate (``certificate``) finds the largest deficit between the
+grid points. Finally the scalar gain ``inflation`` raises the weight by this deficit.
 
 The optimum of a given order may have a break beyond the first or last sample. It may also have a sharp
 resonance around a single deep bin of raw scatter. Both are kept, because the fit would be more than 0.01 dB
@@ -38,7 +38,7 @@ class OverboundFit:
 
     Attributes
     ----------
-    weight : Weight, with the inflation
+    weight : Weight, includes the inflation
     order : int
     worst_ratio_db : float, dB, proved upper limit of sup |W|/bound, 20 log10
     lp_optimum_db : float, dB, smallest ratio that the LP solver finds for this order; not a proved bound
@@ -76,15 +76,17 @@ def fit_overbound(
     Parameters
     ----------
     omega : array_like (K,), rad/s, > 0, strictly increasing
-    bound : array_like (K,), >= 0, NaN: no data, the neighbours are joined
+    bound : array_like (K,), >= 0, NaN in a bin without data
+        The bound is interpolated over such bins.
     max_order : int, highest order, default 4
         The chosen n is the smallest for which no n + k lowers the worst ratio by more than k ``tol_db``.
-    order : int, optional, fixed order; a lower order within 0.002 dB replaces it
+    order : int, optional, fixed order
+        A lower order within 0.002 dB replaces it.
     floor : float, optional, replaces smaller bounds; needed if a bound is 0
     tol_db : float, dB, default 0.3
     proper : str, "biproper" (D(inf) > 0, for H-infinity) or "strict"
-        "strict" rolls off from 10 omega[-1] at the latest; claims end at omega[-1].
-    name : str, of the bound, for messages, default ''
+        "strict" rolls off at or below 10 omega[-1]. Its proof ends at omega[-1].
+    name : str, name of the bound in messages, default ''
 
     Returns
     -------
@@ -93,7 +95,7 @@ def fit_overbound(
     Raises
     ------
     InputError
-        If an input does not fit; the error names the index or the frequency.
+        If an input is not valid. The error names the index or the frequency.
 
     References
     ----------
@@ -164,11 +166,10 @@ def _choose(best: dict[int, MinimaxFit], tol_db: float) -> int:
 def _close(
     grid: Grid, candidate: MinimaxFit, lower_order: MinimaxFit | None
 ) -> tuple[Weight, float, Certificate, float] | None:
-    """Weight, inflation, certificate and lower limit [dB] of a candidate; None if it is not better than the
-    lower order or has no stable spectral factor.
+    """Weight, inflation, certificate and lower limit [dB] of a candidate, or None.
 
-    If the certificate finds a worse ratio than the grid, its frequency is added to the grid and the order is
-    fitted again.
+    None means that it is not better than the lower order or has no stable spectral factor. If the certificate
+    finds a worse ratio than the grid, its frequency is added to the grid and the order is fitted again.
     """
     closed = None
     for _ in range(_MAX_REFITS):
@@ -207,13 +208,13 @@ def _lift(grid: Grid, candidate: MinimaxFit) -> tuple[Weight, float, Certificate
 
 
 def _spectral_factor(square: np.ndarray) -> np.ndarray:
-    """Polynomial p (descending powers of s) with |p(jw)|^2 = square(w^2) and roots in the open left
-    half-plane, if any."""
+    """Polynomial p, in descending powers of s, with |p(jw)|^2 = square(w^2) and roots in the open left
+    half-plane."""
     roots = polynomial_roots(square[::-1])
     s = -np.sqrt(-roots.astype(complex))
     return math.sqrt(abs(square[-1])) * np.atleast_1d(np.real(np.poly(s)))
 
 
 def _db(ratio: float) -> float:
-    """20 log10; inf stays inf."""
+    """Ratio in dB, 20 log10. inf stays inf."""
     return 20.0 * math.log10(ratio)

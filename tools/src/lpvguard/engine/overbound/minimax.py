@@ -1,18 +1,18 @@
 """Find the least worst ratio sup |W|/bound of a given order by a sequence of linear programs.
 
 With y = w^2, |W|^2 = N(y)/D(y) for polynomials N and D. For a fixed t, "bound^2 D <= N <= t^2 bound^2 D" is
-linear in (N, D). Each program minimises the violation of the upper inequality at a trial t: the
-differential correction of Barrodale, Powell and Roberts, SIAM J. Numer. Anal. 9, 1972. Either it returns a
-better weight, or the trial t is infeasible. An infeasible t is a lower limit for any weight of that order.
-Each trial is 0.002 dB below the best weight so far.
+linear in (N, D). Each program minimises the violation of the upper inequality at a trial t. This is the
+differential correction of Barrodale, Powell and Roberts, SIAM J. Numer. Anal. 9, 1972. Either the program
+returns a better weight, or the trial t is infeasible. An infeasible t is a lower limit for any weight of that
+order. Each trial is 0.002 dB below the best weight so far.
 
 Rows are divided by bound^2 D of the current D (at least 1e-5 of its sum |d_i| y^i). Then columns are divided
-by their largest entry: the max-plus scaling around that D. In this form monomials keep their accuracy over
-six decades. A verdict "infeasible" counts only if the D that scaled the rows was within 0.5 dB of the
+by their largest entry. This is the max-plus scaling around that D. With it monomials keep their accuracy over
+six decades. The result "infeasible" counts only if the D that scaled the rows was within 0.5 dB of the
 optimum.
 
-A program contains only the necessary points. Points where its solution fails are added until none fails on a
-fine grid. This grid also contains every lightly damped pole and zero.
+A program contains only some points of a fine grid. Grid points where its solution fails are added until none
+fails. This grid also contains every lightly damped pole and zero.
 """
 
 import itertools
@@ -38,7 +38,7 @@ _RESOLUTION = 1e-5
 """Smallest D of a row, relative to the D that scales the row."""
 
 _NEAR_DB = 0.5
-"""Rows are well scaled if their D is this near the optimum."""
+"""The rows are well scaled if the ratio of their D is within this distance of the optimum [dB]."""
 
 _TOLERANCE = {"primal_feasibility_tolerance": 1e-10, "dual_feasibility_tolerance": 1e-10}
 _MAX_PROGRAMS, _MAX_CUTS = 60, 60
@@ -49,7 +49,7 @@ _ALL = slice(None)
 class MinimaxFit:
     """N and D, ascending in y, with min N/(bound^2 D) = 1 and the worst ratio ``ratio_db`` on the grid.
 
-    ``lower_db``: a level that is infeasible for this order, proved on the rows ``active`` (y values) alone.
+    ``lower_db`` is a level that is infeasible for this order, as the rows ``active`` (y values) alone show.
     """
 
     order: int
@@ -63,8 +63,8 @@ class MinimaxFit:
 class Grid:
     """The cutting-plane grid: all samples, points between them, both ends and points beyond them.
 
-    ``y`` (G,) ascending from 0 to inf, ``b2`` (G,) bound squared, ``below`` (G,) where the weight must be
-    above the bound. ``insert`` adds points if a resonance lies between grid points.
+    ``y`` (G,) ascends from 0 to inf. ``b2`` (G,) is the squared bound. ``below`` (G,) marks the points where
+    the bound must be below the weight. ``insert`` adds points where a resonance lies between grid points.
     """
 
     def __init__(self, samples: SampledBound, strict: bool):
@@ -85,7 +85,7 @@ class Grid:
         self.b2 = np.exp(2.0 * np.interp(grid, self._log_w, self._log_b))
         if (
             self.strict
-        ):  # an upper limit that falls from a decade beyond the band, else the roll-off would start anywhere
+        ):  # the upper limit falls from one decade above the band, so that the weight must roll off there
             self.b2[:-1] *= np.minimum(1.0, 100.0 * self.end / np.maximum(self.y[:-1], self.end))
         self.below = grid <= self.band[1] if self.strict else np.ones(grid.size, dtype=bool)
         self._grid = grid
@@ -96,13 +96,13 @@ class Grid:
             self._place(np.union1d(self._grid, 0.5 * np.log(y)))
 
     def start(self) -> np.ndarray:
-        """y of the first linear program's rows: both ends, and largest and smallest bound in each of 24
+        """Rows of the first linear program (y values): both ends, and the largest and smallest bound in 24
         intervals."""
         cells = np.array_split(np.arange(self.y.size), 24)
         return np.unique(self.y[[0, -1] + [c[f(self.b2[c])] for c in cells for f in (np.argmin, np.argmax)]])
 
     def powers(self, degree: int) -> np.ndarray:
-        """Powers y^i (G, degree+1); the row of y = inf selects the leading coefficient."""
+        """Powers y^i (G, degree+1). The row of y = inf selects the leading coefficient."""
         rows = self.y[:-1, None] ** np.arange(degree + 1)
         return np.vstack([rows, np.eye(degree + 1)[-1:]])
 
@@ -114,7 +114,8 @@ class Grid:
             return np.where(low > 0, high / (self.b2 * low), math.nan)
 
     def spread_db(self, ratio2: np.ndarray, rows: np.ndarray | slice = _ALL) -> float:
-        """Largest over smallest ratio [dB] at ``rows``; inf if no gain lifts all of them above the bound."""
+        """Quotient of the largest and smallest ratio at ``rows`` [dB], inf if no gain raises all above the
+        bound."""
         if np.isnan(ratio2).any() or not (least := ratio2[self.below[rows]].min()) > 0:
             return math.inf
         return 10.0 * math.log10(ratio2.max() / least)
@@ -123,9 +124,10 @@ class Grid:
 def least_worst_ratio(
     grid: Grid, order: int, lower_order: MinimaxFit | None, last: MinimaxFit | None = None
 ) -> MinimaxFit:
-    """Find the least worst ratio of one order; return the lower order's fit if the gain is below ``STEP_DB``.
+    """Find the least worst ratio of one order.
 
-    ``last``: the fit from before the grid grew.
+    The result is the fit ``lower_order`` where the improvement over it is below ``STEP_DB``. ``last`` is the
+    fit on the grid before its last points were added.
     """
     best = lower_order
     if order == 0:
@@ -136,12 +138,12 @@ def least_worst_ratio(
     if last is None:
         active, lower_db, tol = grid.start(), 0.0, 1.0
         bottom = np.ones(1) if best is None else best.bottom
-        while len(bottom) <= order:  # one more break in the middle of the band
+        while len(bottom) <= order:  # add one break in the middle of the band
             bottom = np.convolve(bottom, [1.0, math.exp(-sum(grid.band))])
     else:
         active, lower_db, tol, bottom = last.active, last.lower_db, STEP_DB, last.bottom
         active = np.union1d(active, _failures(grid, grid.ratio2(last.top, last.bottom), lower_db))
-    if best is None:  # strictly proper, first order: any roll-off to start from
+    if best is None:  # strictly proper, first order: start from any roll-off
         ratio2 = grid.ratio2(np.ones(1), bottom)
         best = MinimaxFit(
             order,
@@ -190,25 +192,23 @@ def _exchange(
     upper_db: float,
     tol_db: float,
 ) -> tuple[tuple[np.ndarray, np.ndarray] | None, float]:
-    """Bracket the optimum over the rows ``active`` (y values) to ``tol_db``: ((N, D) or None, infeasible
-    level).
+    """Bracket the optimum over the rows ``active`` (y values) to ``tol_db``: (N, D) or None, and an
+    infeasible level.
 
-    ``upper_db`` is known to be feasible; None if it cannot be improved by ``tol_db``.
+    ``upper_db`` is a feasible level. None means that it cannot be improved by ``tol_db``.
     """
     rows = np.searchsorted(grid.y, active)
     powers = grid.powers(order)
     polynomials, level = None, min(lower_db + tol_db, 0.5 * (lower_db + upper_db))
-    judged_by = math.inf  # ratio of the ``bottom`` of the last verdict "infeasible"
+    judged_by = math.inf  # ratio of the ``bottom`` that scaled the last infeasible program
     for _ in range(_MAX_PROGRAMS):
         if upper_db - lower_db <= tol_db:
             if judged_by <= lower_db + max(tol_db, _NEAR_DB):
                 break
-            level = (
-                lower_db  # rows scaled by a D far from the optimum may have caused that verdict: solve again
-            )
+            level = lower_db  # bad row scaling may have caused the result "infeasible": solve again
         gap = upper_db - lower_db
         answer = _program(grid, powers[rows], rows, bottom, level)
-        if answer is None:  # no verdict
+        if answer is None:  # the solver failed
             level = 0.5 * (level + upper_db)
             continue
         ratio2 = grid.ratio2(*answer)[rows]
@@ -279,7 +279,7 @@ def _program(
 
 
 def _failures(grid: Grid, ratio2: np.ndarray, level_db: float) -> np.ndarray:
-    """y to add: the worst local extremes of the ratio outside [1, level], and one per interval with D <=
+    """Points to add (y values): the worst local extremes outside [1, level], and one per interval with D <=
     0."""
     bad = ~((ratio2 > 0) | (grid.strict & np.isinf(grid.y)))
     log_r = 10.0 * np.log10(np.where(ratio2 > 0, ratio2, 1.0))

@@ -1,4 +1,4 @@
-"""Step 7 of the paper: subtract the sensors' noise from the disturbance (T9)."""
+"""Subtract the noise of the sensors from the disturbance, step 7 of the paper (T9)."""
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -15,14 +15,14 @@ def subtract_noise(
     disturbance_set: str,
     floor: ArrayLike,
 ) -> tuple[np.ndarray, list[float]]:
-    """Subtract the sensor's noise from the disturbance's magnitude (step 7).
+    """Subtract the magnitude of the sensor's noise from that of the disturbance (step 7).
 
     Parameters
     ----------
-    B_w, W_n : Weight, or array_like (K,) of magnitudes, NaN: no data
+    B_w, W_n : Weight, or array_like (K,) of magnitudes, NaN in a bin without data
     omega : array_like (K,), rad/s
-    disturbance_set : str, "paper": |B_w| - |W_n|; "covering": sqrt(|B_w|^2 - |W_n|^2)
-    floor : float or array_like (K,), least value returned, > 0
+    disturbance_set : str, "paper" for |B_w| - |W_n|, or "covering" for sqrt(|B_w|^2 - |W_n|^2)
+    floor : float or array_like (K,), > 0, least value of the result
 
     Returns
     -------

@@ -14,7 +14,7 @@ from ...base.errors import InputError
 
 @dataclass(frozen=True, eq=False)
 class Weight:
-    """Real rational, proper W(s) = num(s)/den(s).
+    """Real, rational and proper transfer function W(s) = num(s)/den(s).
 
     Attributes
     ----------
@@ -24,7 +24,7 @@ class Weight:
     Raises
     ------
     InputError
-        If coefficients are not finite, a leading one is zero, or W is improper.
+        If a coefficient is not finite, a leading coefficient is zero, or W is improper.
 
     Examples
     --------
@@ -75,9 +75,9 @@ class Weight:
         return np.abs(self(1j * np.asarray(omega, dtype=float)))
 
     def to_state_space(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """A (n,n), B (n,1), C (1,n), D (1,1) of W; W must be stable.
+        """Realisation A (n,n), B (n,1), C (1,n), D (1,1) of a stable W.
 
-        The realisation is a chain of first- and second-order sections, slow to fast. Each section is computed
+        It is a chain of first- and second-order sections, slow to fast. Each section is computed
         from its own poles, so poles many decades apart keep their accuracy. Powers of two scale the states
         until the diagonals of both Gramians agree within a factor of four.
         """
@@ -88,7 +88,7 @@ class Weight:
             b, c, d = np.vstack([b, b2 @ d]), np.hstack([d2 @ c, c2]), d2 @ d
         reach = np.diag(solve_continuous_lyapunov(a, -b @ b.T))
         observe = np.diag(solve_continuous_lyapunov(a.T, -c.T @ c))
-        known = observe > 0  # a state that W does not need keeps its scale
+        known = observe > 0  # a state without effect on W keeps its scale
         scale = np.ones(len(a))
         scale[known] = np.exp2(np.round(np.log2(observe[known] / reach[known]) / 4))
         return a * scale[:, None] / scale[None, :], b * scale[:, None], c / scale[None, :], d
@@ -121,7 +121,7 @@ def polynomial_roots(polynomial: np.ndarray) -> np.ndarray:
 
 
 def _quadratics(roots: np.ndarray) -> list[np.ndarray]:
-    """Monic real factors of degree two, and one of degree one if the degree is odd, slow to fast."""
+    """Monic real factors of degree two, slow to fast, then one of degree one if the degree is odd."""
     real = sorted((float(r.real) for r in roots if r.imag == 0), key=abs)
     factors = [np.array([1.0, -2.0 * r.real, abs(r) ** 2]) for r in roots if r.imag > 0]
     factors += [np.poly(real[i : i + 2]) for i in range(0, len(real), 2)]
@@ -131,8 +131,8 @@ def _quadratics(roots: np.ndarray) -> list[np.ndarray]:
 def _sections(num: np.ndarray, den: np.ndarray) -> list[tuple[np.ndarray, ...]]:
     """(A, B, C, D) of first- and second-order factors whose product is num/den.
 
-    Pairs come first in numerator and denominator. A proper weight has at most as many pairs of zeros as of
-    poles, so each pair of zeros finds a pair of poles.
+    Pairs come first in numerator and denominator. A proper weight has at least as many pairs of poles as
+    pairs of zeros, so each pair of zeros gets a pair of poles.
     """
     gain = num[0] / den[0]
     tops, bottoms = _quadratics(polynomial_roots(num)), _quadratics(polynomial_roots(den))

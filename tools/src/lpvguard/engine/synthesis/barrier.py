@@ -1,4 +1,4 @@
-"""A barrier method for linear matrix inequalities of a storage function over speed (lpv_certificate.py)."""
+"""Barrier method for the linear matrix inequalities of lpv_certificate.py."""
 
 import ctypes
 
@@ -8,11 +8,11 @@ import scipy.linalg as sl
 from lpvguard.base import native
 
 WANTED = 0.02
-"""Slack, relative to that of the frozen solutions' mean, with which the search at one rate is content."""
+"""The search at one rate stops at this slack, relative to the slack of the mean of the frozen solutions."""
 NEWTON_STEPS = 40
-"""Steps for one rate before it counts as not found."""
+"""Largest number of Newton steps for one rate."""
 NEAR = 25.0
-"""Decrement from which on a step is near enough to the central path to move along it."""
+"""Below this Newton decrement an iterate is near the central path, and the search moves along the path."""
 
 
 class Barrier:
@@ -21,9 +21,9 @@ class Barrier:
         F_i(P) = E' (sum_k phi_ik P_k) E - M_i' (sum_k next_ik P_k) M_i - N_i' N_i + diag(0, I)
 
     ``parts`` holds (M, N) per i. ``phi`` and ``next`` have the shape (count, terms). P (terms, n, n) is
-    symmetric. As a vector it holds its upper triangles row by row. M is near E where sampling is fast. All is
-    therefore computed from D = M - E and phi - next. Products of M would leave only rounding of slow states,
-    whose P is large.
+    symmetric. As a vector it holds its upper triangles row by row. M is near E where sampling is fast. All
+    terms are therefore computed from D = M - E and phi - next. Slow states have a large P, and products of M
+    would lose their digits to rounding.
     """
 
     def __init__(self, parts: list[tuple[np.ndarray, np.ndarray]], phi: np.ndarray, next_: np.ndarray):
@@ -37,9 +37,9 @@ class Barrier:
         self.twice = np.where(self.upper[0] == self.upper[1], 1.0, 2.0)
 
     def F(self, P: np.ndarray, constant: bool = True) -> np.ndarray:
-        """Every F_i(P), (count, N, N); P (terms, n, n). Without ``constant`` its part that is linear in P."""
+        """Every F_i(P), (count, N, N), for P (terms, n, n). ``constant`` False: only the part linear in P."""
         n, after = self.n, np.tensordot(self.next, P, 1)
-        over = np.swapaxes(after @ self.D, 1, 2)  # D' P, by which P beside E' P E shrinks
+        over = np.swapaxes(after @ self.D, 1, 2)  # D' P
         out = -over @ self.D
         out[:, :, :n] -= over
         out[:, :n] -= np.swapaxes(over, 1, 2)
@@ -55,7 +55,7 @@ class Barrier:
         return P
 
     def adjoint(self, S: np.ndarray) -> np.ndarray:
-        """Gradient (size,) of sum_i tr(S_i F_i(P)) by P's vector; S (count, N, N) symmetric."""
+        """Gradient (size,) of sum_i tr(S_i F_i(P)) by the vector of P, for symmetric S (count, N, N)."""
         x, y, z = self._sides(S)
         G = np.einsum("ik,iab->kab", self.moved, x) - np.einsum(
             "ik,iab->kab", self.next, y + np.swapaxes(y, 1, 2) + z
@@ -63,15 +63,17 @@ class Barrier:
         return self._vector(G)
 
     def price(self, cost: np.ndarray) -> np.ndarray:
-        """Gradient (size,) of sum_i tr(cost sum_k phi_ik P_k) by P's vector; cost (n, n) symmetric."""
+        """Gradient (size,) of sum_i tr(cost sum_k phi_ik P_k) by the vector of P, for a symmetric cost (n,
+        n)."""
         return self._vector(np.einsum("ik,ab->kab", self.next + self.moved, cost))
 
     def _vector(self, G: np.ndarray) -> np.ndarray:
-        """Derivative by P's vector, from the symmetric derivative G (terms, n, n) by P."""
+        """Derivative by the vector of P, from the symmetric derivative G (terms, n, n) by P."""
         return (G[:, self.upper[0], self.upper[1]] * self.twice).ravel()
 
     def hessian(self, S: np.ndarray) -> np.ndarray:
-        """Hessian (size, size) of -sum_i log det F_i at S_i = F_i^-1, (count, N, N): its lower triangle."""
+        """Lower triangle of the Hessian (size, size) of -sum_i log det F_i, from S_i = F_i^-1 (count, N,
+        N)."""
         x, y, z = self._sides(S)
         transposed = np.swapaxes(y, 1, 2)
         both, half = x + y + transposed + 0.5 * z, x + 0.5 * y
@@ -94,7 +96,7 @@ class Barrier:
         return S[:, : self.n, : self.n], over[:, :, : self.n], over @ np.swapaxes(self.D, 1, 2)
 
     def solved(self, S: np.ndarray, right: np.ndarray) -> np.ndarray:
-        """Hessian^-1 right, at S_i = F_i^-1; right (size, k)."""
+        """Solution X of Hessian X = ``right`` (size, k), with the Hessian at S_i = F_i^-1."""
         H = self.hessian(S)
         scale = 1 / np.sqrt(np.diagonal(H))
         H *= scale
@@ -103,10 +105,10 @@ class Barrier:
 
 
 def feasible(barrier: Barrier, P: np.ndarray, unit: np.ndarray) -> np.ndarray | None:
-    """Search P with every F_i > 0, from any P.
+    """Search for P with every F_i > 0, from any P.
 
-    Newton's method minimises ``tau t - sum_i log det(F_i + t unit)`` until t < -``WANTED``. After
-    ``NEWTON_STEPS`` steps it returns the P with t < 0, or None if t is not below 0. ``unit`` (N, N) > 0 is
+    Newton's method minimises ``tau t - sum_i log det(F_i + t unit)`` until t < -``WANTED``. It takes at most
+    ``NEWTON_STEPS`` steps. It returns the last P with t < 0, or None if there is none. ``unit`` (N, N) > 0 is
     the unit of F.
     """
     size = len(barrier.constant) * len(unit)
@@ -123,7 +125,7 @@ def feasible(barrier: Barrier, P: np.ndarray, unit: np.ndarray) -> np.ndarray | 
         if t < 0:
             solution = P
         if t < -WANTED or (decrement < 1.0 and abs(t) > 2 * size / tau):
-            return solution  # enough, or at the centre: the least t is not much below this one
+            return solution  # t is small enough, or it cannot become much smaller
         if decrement < NEAR:
             tau *= 10.0
     return solution
@@ -137,7 +139,7 @@ def newton_step(
     slope: np.ndarray,
     price: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray, float]:
-    """P, y after a step of Newton's method, and its decrement.
+    """One step of Newton's method: the new P and y, and the Newton decrement.
 
     The objective is ``price p + slope y - sum_i log det(F_i(P) + sum_j y_j directions_ji)``, where p is the
     vector of P. The shapes are ``price`` (size,), ``slope`` (k,) and ``directions`` (k, count or 1, N, N).
@@ -163,8 +165,11 @@ def newton_step(
 
 
 def factored(H: np.ndarray):
-    """Cholesky factor, as SciPy's, of H (n, n), unit diagonal, lower triangle given; with the least addition
-    to the diagonal that rounding asks for. LinAlgError where none is enough."""
+    """SciPy's Cholesky factor of H (n, n), which has a unit diagonal and a filled lower triangle.
+
+    Adds the least of three numbers to the diagonal that makes H positive definite in spite of rounding.
+    Raises LinAlgError where none is enough.
+    """
     for extra in (1e-13, 1e-11, 1e-9):
         np.fill_diagonal(H, 1 + extra)
         try:
@@ -175,8 +180,8 @@ def factored(H: np.ndarray):
 
 
 def line_search(curve: np.ndarray, slope: float) -> float:
-    """Minimiser over s >= 0 of slope s - sum log(1 + s curve), curve (n,): Newton steps kept inside the
-    domain."""
+    """Minimiser over s >= 0 of slope s - sum log(1 + s curve), with curve (n,), by safeguarded Newton
+    steps."""
     end = -1 / curve.min() if curve.min() < 0 else np.inf
     s = min(1.0, 0.9 * end)
     for _ in range(30):

@@ -1,4 +1,4 @@
-"""The paper case: every weight of Fig. 1 in one TOML file, and Table II computed from it."""
+"""The paper case: a TOML file with every weight of Fig. 1, and Table II computed from these weights."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -22,12 +22,12 @@ from lpvguard.engine.synthesis.table import Cell, cell
 from lpvguard.vehicle import truck_model
 
 PAPER_DIGITS = 5e-4
-"""Half a unit of the paper's last digit."""
+"""Half a unit of the last digit that the paper prints."""
 
 
 @dataclass(frozen=True)
 class TableRow(Cell):
-    """A cell with the reference's and the paper's numbers.
+    """A cell with the numbers of the reference and of the paper.
 
     Attributes
     ----------
@@ -41,7 +41,7 @@ class TableRow(Cell):
     paper_order: int | None
 
     def to_dict(self) -> dict:
-        """The cell's row with the reference's and the paper's numbers behind it."""
+        """The row of the cell, extended by the numbers of the reference and of the paper."""
         names = ("reference", "reference_order", "paper", "paper_order")
         return super().to_dict() | {name: getattr(self, name) for name in names}
 
@@ -101,8 +101,8 @@ def case_plant(
     case : dict, the case file
     objective : dict, with A_t and A_u
     structure : str
-    speed : float, m/s, optional, replaces the case's own
-    dt : float, s, 0: continuous time, default 0.0
+    speed : float, m/s, optional, by default the speed of the case
+    dt : float, s, 0 for continuous time, default 0.0
     delay : int, samples, default 0
 
     Returns
@@ -122,7 +122,7 @@ def paper_case(
     Parameters
     ----------
     path : path, the case file
-    dt : float, s, > 0 designs in discrete time, default 0.0
+    dt : float, s, 0 for continuous time, default 0.0
     progress : Callable, reports progress
     **options : passed to `dk_synthesis`
 
@@ -162,7 +162,7 @@ def paper_case(
 
 
 def differences(case: dict, rows: list[TableRow]) -> list[str]:
-    """Explain each row's difference from the paper by the limits of the case's weights.
+    """Explain for each row why its level differs from the paper's.
 
     Parameters
     ----------
@@ -171,7 +171,7 @@ def differences(case: dict, rows: list[TableRow]) -> list[str]:
 
     Returns
     -------
-    list of str, a sentence a row
+    list of str, one sentence for each row
     """
     return [_difference(case, row, rows) for row in rows]
 
@@ -185,41 +185,42 @@ def _difference(case: dict, row: TableRow, rows: list[TableRow]) -> str:
     )
     apart = row.upper / row.paper - 1
     order = (
-        f"order {row.order} instead of {row.paper_order} since states are cut as long as the certified level "
-        f"stays (before: {row.full_order})"
+        f"order {row.order} instead of {row.paper_order}, because states are removed while the certified "
+        f"level does not rise (order before: {row.full_order})"
         if row.paper_order
         else f"order {row.order}"
     )
     beyond = (
         ""
         if row.reference is None or row.upper <= row.reference or row.floor.value <= row.reference
-        else (f"; the reference's {row.reference:g} is rounded, and below that limit")
+        else (f"; the reference's value {row.reference:g} is rounded and lies below this limit")
     )
     if abs(row.upper - row.paper) <= PAPER_DIGITS:
         why = (
             "|W_nr(0)| and |W_wr(0)| were calibrated to this row"
             if row.structure == "K_inf"
-            else "what the calibrated noise and disturbance allow at DC decides"
+            else "the calibrated noise and disturbance limit the level at DC"
         )
-        return f"The paper's value to its three digits, as {why}: {limit}{beyond}; {order}."
+        return f"The level equals the paper's to three digits, because {why}: {limit}{beyond}; {order}."
     size = "above" if apart > 0 else "below"
     text = (
         f"{abs(apart):.1%} {size} the paper's {row.paper:g}: {limit}, "
-        f"and ours is within {row.upper / row.floor.value - 1:.1e} of that"
+        f"and this case's level is within {row.upper / row.floor.value - 1:.1e} of this limit"
     )
     scale = _uncertainty_scale(case, row, row.paper)
     if scale is not None:
         text += (
-            f"; the paper's value would be this limit with the uncertainty weights {scale:.2g} times as "
-            "large, and its own are not published"
+            f"; this limit would be the paper's value if the uncertainty weights were {scale:.2g} times as "
+            "large, and the paper's weights are not published"
         )
     return f"{text}{_moves(row, row.paper, rows)}{beyond}; {order}."
 
 
 def _moves(row: TableRow, paper: float, rows: list[TableRow]) -> str:
-    """How the structure's levels move with the objective; empty where tracking may limit the paper's.
+    """Text on how the structure's level changes with the objective.
 
-    A level that tracking limits moves with A_t alone. ``paper``: the row's level in the paper.
+    It is empty where tracking may limit the paper's level. A level that tracking limits changes with A_t
+    alone. ``paper`` is the row's level in the paper.
     """
     for other in rows:
         if other.structure != row.structure or other is row or other.paper is None:
@@ -228,16 +229,18 @@ def _moves(row: TableRow, paper: float, rows: list[TableRow]) -> str:
         if other.A_u <= row.A_u and abs(other.paper / paper - by_tracking) > 0.05:
             return (
                 f"; from A_t {row.A_t:g}, A_u {row.A_u:g} to {other.A_t:g}, {other.A_u:g} the paper's level "
-                f"moves by {other.paper / paper - 1:+.1%}, ours by {other.upper / row.upper - 1:+.1%} "
-                f"and A_t by {by_tracking - 1:+.1%}: "
-                "the paper's is limited by the control effort, this case's by tracking at DC"
+                f"changes by {other.paper / paper - 1:+.1%}, this case's by "
+                f"{other.upper / row.upper - 1:+.1%} and A_t by {by_tracking - 1:+.1%}: "
+                "the control effort limits the paper's level, and tracking at DC limits this case's level"
             )
     return ""
 
 
 def _uncertainty_scale(case: dict, row: TableRow, paper: float) -> float | None:
-    """The factor on W_delta_i and W_delta_s with which the row's limit would be the level ``paper``; None
-    without uncertainty or where no factor from 1e-3 to 1e3 does it."""
+    """Factor on W_delta_i and W_delta_s that makes the row's limit equal to ``paper``.
+
+    None without uncertainty, or where no factor from 1e-3 to 1e3 does so.
+    """
     if row.structure == "K_inf":
         return None
 

@@ -1,4 +1,4 @@
-"""Central controller at a level γ from the two Riccati solutions, and their coupling."""
+"""Central controller at a level γ from the two Riccati solutions, and the coupling of the two solutions."""
 
 import numpy as np
 import scipy.linalg as sl
@@ -9,7 +9,7 @@ from lpvguard.engine.synthesis.statespace import StateSpace
 
 
 def coupling_margin(control: RiccatiSolution, filter_: RiccatiSolution, gamma: float) -> float:
-    """γ²/ρ(XY); −1 when X or Y is not positive semidefinite, because γ is then too low for one of them."""
+    """γ²/ρ(XY), or −1 where X or Y is not positive semidefinite because γ is too low."""
     if not (control.definite and filter_.definite):
         return -1.0
     if control.X.size == 0:
@@ -19,15 +19,15 @@ def coupling_margin(control: RiccatiSolution, filter_: RiccatiSolution, gamma: f
 
 
 def central_controller(P: Plant, gamma: float) -> StateSpace | None:
-    """Central controller at level γ of a regular plant (Zhou, Doyle & Glover 1996, theorem 17.1); None below
-    γ_opt.
+    """Central controller of a regular plant at level γ, None below γ_opt (Zhou, Doyle & Glover 1996, theorem
+    17.1).
     """
     n, m1, p1 = len(P.A), P.B1.shape[1], P.C1.shape[0]
     control, filter_ = Side.regular(P), Side.regular(P.dual)
     found_X, found_Y = control.solve(gamma), filter_.solve(gamma)
     if found_X is None or found_Y is None or not coupling_margin(found_X, found_Y, gamma) > 1:
         return None
-    # w divided by γ makes the level 1; Y of that plant is Y/γ²
+    # Division of w by γ makes the level 1. The plant with this w has the solution Y/γ².
     X, Y = found_X.X, found_Y.X / gamma**2
     B1, D11, D21 = P.B1 / gamma, P.D11 / gamma, P.D21 / gamma
     Dc, Dr = np.hstack([D11, P.D12]), np.vstack([D11, D21])
@@ -44,7 +44,7 @@ def central_controller(P: Plant, gamma: float) -> StateSpace | None:
 
 
 def _central_feedthrough(D11: np.ndarray, D12: np.ndarray, D21: np.ndarray) -> np.ndarray:
-    """The D_K with σ̄(D11 + D12 D_K D21) < 1 that the central controller has; zero when D11 is."""
+    """Feedthrough D_K of the central controller, with σ̄(D11 + D12 D_K D21) < 1. It is 0 where D11 is 0."""
     if not np.any(D11):
         return np.zeros((D12.shape[1], D21.shape[0]))
     m2, p2 = D12.shape[1], D21.shape[0]

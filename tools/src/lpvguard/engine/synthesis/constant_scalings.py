@@ -1,6 +1,6 @@
-"""Constant block scalings of a loop, which prove a norm for uncertainty that varies at any speed.
+"""Constant block scalings of a loop. They prove a norm for uncertainty that varies arbitrarily fast.
 
-They are searched on a grid of frequencies. The claim is the upper end of the scaled norm's bracket over all
+They are searched on a grid of frequencies. The proved level is the upper bound of the scaled norm over all
 frequencies.
 """
 
@@ -13,32 +13,33 @@ from lpvguard.engine.synthesis.norms import hinf_norm
 from lpvguard.engine.synthesis.statespace import EPS, StateSpace
 
 GRID = 160
-"""Frequencies on which constants are searched."""
+"""Number of frequencies on which constants are searched."""
 SLOWEST = 1e-4
-"""rad/s"""
+"""Lowest frequency above 0 of the grid [rad/s]."""
 NORM_RTOL = 1e-5
 SEARCH_STEPS, SHORTENED = 40, 30
-"""Most steps of Newton's method, and how often one is shortened."""
+"""Largest number of Newton steps, and of the times that one step is shortened."""
 SHORTER = 0.05, 0.5
-"""Least and largest share of itself to which it is."""
+"""Least and largest factor by which a step is shortened."""
 LONGEST_STEP = 4.0
-"""Longest step of a constant's logarithm: far from its optimum the mean has hardly any curvature."""
+"""Longest step of a constant's logarithm. Far from the optimum the curvature is too small to limit a step."""
 LEAST_GAIN = 1e-8
-"""Least predicted gain of a step, in the mean's logarithm."""
+"""The search ends when a step promises a smaller decrease of the mean's logarithm."""
 LEAST_GAP = 1e-6
-"""Between the largest eigenvalue and the others, relative to it, for a second derivative."""
+"""Least gap between the largest eigenvalue and another one in a second derivative, relative to the
+largest."""
 POWER = 300.0
-"""Power of the mean over frequency that replaces the largest value: smooth, and convex in the constants'
-logarithms."""
+"""Power of the mean over frequency. This mean replaces the largest value: it is smooth, and convex in the
+constants' logarithms."""
 FARTHEST = 30.0
-"""Largest |logarithm| of a constant: what never matters must not wander off."""
+"""Largest |logarithm| of a constant. It bounds constants that have no effect."""
 
 
 class ConstantScalings:
     """Constant scalings of a stable discrete ``system``, whose first signals belong to the blocks.
 
-    The blocks have ``rows`` and ``cols`` signals; the others are performance. The first ``fixed`` blocks keep
-    the constant 1.
+    Block i has ``rows[i]`` outputs and ``cols[i]`` inputs of the system. The other signals are performance.
+    The first ``fixed`` blocks keep the constant 1.
     """
 
     def __init__(self, system: StateSpace, rows: Sequence[int], cols: Sequence[int], fixed: int = 0):
@@ -52,24 +53,26 @@ class ConstantScalings:
     def scaled(self, sizes: np.ndarray, rest: float, log_constants: np.ndarray) -> StateSpace:
         """The scaled loop.
 
-        ``sizes`` (blocks,) are gains of the block's uncertainty, ``rest`` is the factor of the other outputs,
-        and ``log_constants`` (free,) are the logarithms of the constants.
+        ``sizes`` (blocks,) are the gains of the blocks' uncertainty. ``rest`` is the factor of the other
+        outputs. ``log_constants`` (free,) are the logarithms of the constants.
         """
         left, right = self._factors(sizes, rest, log_constants)
         G = self.system
         return StateSpace(G.A, G.B * right, G.C * left[:, None], G.D * left[:, None] * right, G.dt)
 
     def proved(self, sizes: np.ndarray, rest: float, log_constants: np.ndarray) -> float:
-        """The norm from above, over all frequencies; ``sizes`` (blocks,), ``rest`` and ``log_constants``
-        (free,) as of ``scaled``."""
+        """Upper bound of the scaled loop's norm over all frequencies.
+
+        ``sizes`` (blocks,), ``rest`` and ``log_constants`` (free,) are those of ``scaled``.
+        """
         return hinf_norm(self.scaled(sizes, rest, log_constants), NORM_RTOL).upper
 
     def least(
         self, sizes: np.ndarray, rest: float, start: np.ndarray, only_whether: bool = False
     ) -> tuple[float, np.ndarray]:
-        """Search the least norm on the grid, and the logarithms (free,) of its constants.
+        """Search for the least norm on the grid and the logarithms (free,) of its constants.
 
-        ``sizes`` (blocks,) and ``rest`` are as for ``scaled``. The search begins at ``start`` (free,). With
+        ``sizes`` (blocks,) and ``rest`` are those of ``scaled``. The search begins at ``start`` (free,). With
         ``only_whether`` it ends as soon as the norm is below 1.
         """
         constants = self._least_mean(sizes, rest, start, only_whether) if self.free else start
@@ -82,7 +85,7 @@ class ConstantScalings:
         x = np.clip(start, -FARTHEST, FARTHEST)
         value, slope, curvature = self._mean(sizes, rest, x)
         for _ in range(SEARCH_STEPS):
-            # A constant that moves nothing stays; one at its limit moves inwards only.
+            # A constant without effect stays. A constant at its limit moves only inwards.
             ridge = EPS**0.5 * max(float(np.abs(curvature).max()), 1.0) * np.eye(len(x))
             moves = (np.abs(x) < FARTHEST) | (x * slope > 0)
             slope, kept = np.where(moves, slope, 0.0), np.outer(moves, moves)
@@ -125,12 +128,12 @@ class ConstantScalings:
     def _mean(
         self, sizes: np.ndarray, rest: float, log_constants: np.ndarray
     ) -> tuple[float, np.ndarray, np.ndarray]:
-        """Logarithm of the power mean over frequency of the largest singular value, its slope (free,) and its
-        second derivatives (free, free)."""
+        """Power mean of the largest singular value over frequency: logarithm, slope (free,), curvature (free,
+        free)."""
         left, right = self._factors(sizes, rest, log_constants)
         N = left[:, None] * self._grid * right
         gram = N @ np.conj(np.swapaxes(N, 1, 2))
-        # Values so far below the largest do not change the mean; sigma^2 is at most the trace.
+        # Drop frequencies whose values are too small to change the mean. sigma^2 is at most the trace.
         diagonal = np.diagonal(gram, axis1=1, axis2=2).real
         counts = diagonal.sum(axis=1) >= diagonal.max() * EPS ** (2 / POWER)
         N, frequencies = N[counts], len(N)
@@ -147,11 +150,11 @@ class ConstantScalings:
         return float(top + np.log(weight.sum() / frequencies) / POWER), slope, curvature
 
     def _derivatives(self, N: np.ndarray, values: np.ndarray, U: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Slope (k, free) and second derivatives (k, free, free) of the responses' log largest singular
-        value.
+        """Slope (k, free) and curvature (k, free, free) of the logarithm of the largest singular value.
 
-        The responses are N (k, rows, columns); ``values``, U: eigenvalues, ascending, and eigenvectors of N
-        N^H. With the rows P_i and columns Q_i of block i, d(N N^H) = P_i N N^H + N N^H P_i - 2 N Q_i N^H.
+        The responses are N (k, rows, columns). ``values`` (ascending) and U are the eigenvalues and
+        eigenvectors of N N^H. With the rows P_i and columns Q_i of block i, d(N N^H) = P_i N N^H + N N^H P_i
+        - 2 N Q_i N^H.
         """
         largest, u = values[:, -1], U[:, :, -1]
         sigma = np.sqrt(largest)[:, None, None]
@@ -161,7 +164,7 @@ class ConstantScalings:
         a, b = (np.abs(of_u) ** 2).sum(axis=2), (np.abs(of_v) ** 2).sum(axis=2)
         slopes = a - b
         back = of_u @ np.conj(N)
-        # u_m^H d(N N^H) u for every eigenvector u_m but the largest one's.
+        # u_m^H d(N N^H) u for every eigenvector u_m except that of the largest eigenvalue.
         turned = (largest[:, None, None] + values[:, None, :]) * (of_u @ np.conj(U))
         turned -= 2 * sigma * (of_v @ np.swapaxes(N, 1, 2) @ np.conj(U))
         gap = np.maximum(largest[:, None] - values[:, :-1], LEAST_GAP * largest[:, None])[:, None, :]
@@ -174,7 +177,7 @@ class ConstantScalings:
 
     @cached_property
     def _of_blocks(self) -> tuple[np.ndarray, np.ndarray]:
-        """1 where an output (free, rows), and where an input (free, columns), is of a block with a
+        """Masks of the outputs (free, rows) and inputs (free, columns) that belong to each block with a
         constant."""
         G, blocks = self.system, np.arange(self.fixed, len(self.rows))[:, None]
         block_numbers = [np.repeat(np.arange(len(sizes)), sizes) for sizes in (self.rows, self.cols)]
@@ -190,15 +193,15 @@ class ConstantScalings:
 
 
 def _shorter(change: float, promised: float, slope: float) -> float:
-    """Share of a step at the minimum of the cubic through its ends.
+    """Fraction of a step at which the cubic through both ends has its minimum.
 
     The step changes the value by ``change``, begins with the slope -``promised`` and ends with ``slope``.
     """
-    # The root is of something positive: the value has not fallen by a quarter of the promise.
+    # The argument of the root is positive, because the value has not fallen by a quarter of the promise.
     a, b = slope - promised - 2 * change, 3 * change + 2 * promised - slope
     return float(np.clip(promised / (b + np.sqrt(b * b + 3 * a * promised)), *SHORTER))
 
 
 def _real_products(left: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """Re left_i^H right_j, (k, n, n) of (k, n, m) each."""
+    """Re left_i^H right_j (k, n, n), for ``left`` and ``right`` (k, n, m)."""
     return (np.conj(left) @ np.swapaxes(right, 1, 2)).real

@@ -1,4 +1,5 @@
-"""Coordinates of the state in which the Riccati equations lose few digits, and the least certain pole."""
+"""Coordinates of the state in which the Riccati equations lose few digits; the least certain pole of a
+plant."""
 
 from dataclasses import replace
 
@@ -8,29 +9,30 @@ import scipy.linalg as sl
 from lpvguard.engine.synthesis.statespace import EPS, StateSpace, balancing, scaled_states
 
 SPARE = 128
-"""Binary digits that T⁻¹ A T is given below the last one of the data."""
+"""Number of binary digits of T⁻¹ A T below the last digit of the data."""
 BITS = 53
 """Binary digits of a double."""
 SMALLER, LEAST = 0.1, 0.2
-"""Share of ‖A‖ that a Schur form must come down to, and that its eigenvalues may make up: norms above
-``LEAST`` leave too little to gain for exact products."""
+"""Two shares of ‖A‖. A Schur form is used only if its norm is below ``SMALLER``. It is not tried if the norm
+of the eigenvalues is above ``LEAST``, because exact products then gain too little."""
 CONDITION = 1e10
-"""Largest condition of eigenvectors that count as a basis."""
+"""Largest condition number of the eigenvectors that may serve as a basis."""
 TINY = 1e-300
 """Stands for zero in a denominator."""
 UNCERTAIN = 1e-3
-"""Share of a pole's distance to the stability border that rounding may move it."""
+"""Largest movement of a pole by rounding, as a share of its distance to the stability border."""
 REFINEMENTS = 5
-"""Corrections of T⁻¹. Each gains the digits that the condition of T leaves, about six for one of 1e10."""
+"""Number of corrections of T⁻¹. Each adds the digits that the condition of T leaves: about six at 1e10."""
 
 
 def schur_coordinates(G: StateSpace) -> tuple[StateSpace, np.ndarray]:
-    """G in the coordinates of a balanced Schur form, and their basis T (n, n): x = T x̃.
+    """G in the coordinates of a balanced Schur form, and the basis T (n, n) with x = T x̃.
 
-    G itself is returned unless these coordinates make ‖A‖ less than ``SMALLER`` of it. Scaling alone cannot
-    undo a dense, badly conditioned change of coordinates: ‖A‖ then is far above its eigenvalues.
+    G itself is returned unless these coordinates reduce ‖A‖ to less than ``SMALLER`` of its value. A dense,
+    badly conditioned change of coordinates makes ‖A‖ far larger than the eigenvalues, and scaling alone
+    cannot undo it.
     """
-    # No similar matrix has a smaller norm than the eigenvalues.
+    # The norm of the eigenvalues is a lower bound of the norm of every similar matrix.
     if np.linalg.norm(np.linalg.eigvals(G.A)) >= LEAST * np.linalg.norm(G.A):
         return G, np.eye(G.order)
     schur = sl.schur(G.A)[1]
@@ -42,7 +44,7 @@ def schur_coordinates(G: StateSpace) -> tuple[StateSpace, np.ndarray]:
 
 
 def modal_coordinates(G: StateSpace) -> tuple[StateSpace, np.ndarray]:
-    """G with A in real blocks, one for each pole or pair, and the basis T (n, n): x = T x̃.
+    """G with one real block of A for each pole or pair, and the basis T (n, n) with x = T x̃.
 
     Slow modes are then separate from fast ones. G is returned where the eigenvectors do not span the space.
     """
@@ -56,10 +58,10 @@ def modal_coordinates(G: StateSpace) -> tuple[StateSpace, np.ndarray]:
 
 
 def transformed(G: StateSpace, T: np.ndarray) -> StateSpace:
-    """G in the coordinates x = T x̃, T (n, n), every entry to the last digit.
+    """G in the coordinates x = T x̃, with T (n, n). Every entry is exact to its last digit.
 
-    Data in bad coordinates have many digits that cancel here. Products are therefore exact, of whole numbers,
-    and T⁻¹ is refined by exact remainders.
+    In bad coordinates many digits of the data cancel here. Products therefore use whole numbers, which are
+    exact, and exact remainders refine T⁻¹.
     """
     bits = BITS - min(int(np.frexp(X[X != 0])[1].min(initial=0)) for X in (G.A, G.B, G.C, T))
     A, B, C, left = (_whole(X, bits) for X in (G.A, G.B, G.C, T))
@@ -75,7 +77,7 @@ def transformed(G: StateSpace, T: np.ndarray) -> StateSpace:
 
 
 def _whole(X: np.ndarray, bits: int) -> np.ndarray:
-    """X 2**bits in whole numbers, what is below 1 cut off."""
+    """X · 2**bits as whole numbers, rounded down."""
     part, exponent = np.frexp(X)
     shift = exponent.astype(object) + (bits - BITS)
     whole = (part * 2.0**BITS).astype(np.int64).astype(object)
@@ -83,16 +85,16 @@ def _whole(X: np.ndarray, bits: int) -> np.ndarray:
 
 
 def _rounded(whole: np.ndarray, bits: int) -> np.ndarray:
-    """Whole numbers over 2**bits, each rounded once."""
+    """Whole numbers divided by 2**bits, as floats, with one rounding each."""
     return np.array([x / 2**bits for x in whole.flat]).reshape(whole.shape)
 
 
 def frail_pole(plant: StateSpace) -> str:
-    """The pole of the plant as given that the last digits of A's entries leave uncertain, in a sentence;
-    empty where there is none.
+    """A sentence on the pole that the last digits of A leave most uncertain; empty where every pole is
+    certain.
 
-    First-order bound eps |y|ᵀ|A||x| / |yᴴx| on a pole's movement; it does not depend on the units of the
-    states.
+    It uses the first-order bound eps |y|ᵀ|A||x| / |yᴴx| on a pole's movement; it does not depend on the units
+    of the states.
     """
     if plant.order == 0:
         return ""
@@ -103,4 +105,4 @@ def frail_pole(plant: StateSpace) -> str:
     k = int(np.argmax(moved / np.maximum(room, TINY)))
     if moved[k] <= UNCERTAIN * room[k]:
         return ""
-    return f"the last digits of A move its pole at {poles[k]:.4g} by up to {moved[k]:.1g}"
+    return f"the last digits of A move the pole at {poles[k]:.4g} by up to {moved[k]:.1g}"

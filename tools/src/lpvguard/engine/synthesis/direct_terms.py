@@ -1,5 +1,5 @@
-"""Direct terms of a generalised plant: rank of D12 and D21, and the part of D11 that no controller
-cancels."""
+"""Direct terms of a generalised plant: rank of D12 and D21, and the part of D11 that no controller can
+cancel."""
 
 import numpy as np
 import scipy.linalg as sl
@@ -13,7 +13,7 @@ RANK_RTOL = 1e-9
 def direct_scale(rate: float, B2: np.ndarray, C1: np.ndarray) -> np.ndarray:
     """Size (m2,) of each control's path to the cost through states of ``rate`` [rad/s].
 
-    A direct cost far below it counts as none.
+    A direct cost far below this size counts as zero.
     """
     return np.linalg.norm(B2, axis=0) * float(np.linalg.norm(C1)) / max(rate, 1e-300)
 
@@ -21,8 +21,8 @@ def direct_scale(rate: float, B2: np.ndarray, C1: np.ndarray) -> np.ndarray:
 def column_rank(D: np.ndarray, scale: np.ndarray) -> tuple[int, np.ndarray]:
     """Rank of D and V (m, m) so that D V = [full rank, 0].
 
-    Columns are brought to unit length first (a control's unit is arbitrary); one far below ``scale`` counts
-    as zero.
+    Columns are first scaled to unit length, because the unit of a control is arbitrary. A column far below
+    ``scale`` (m,) counts as zero.
     """
     size = np.linalg.norm(D, axis=0)
     live = size > RANK_RTOL * scale
@@ -35,7 +35,7 @@ def column_rank(D: np.ndarray, scale: np.ndarray) -> tuple[int, np.ndarray]:
 def unreachable_gain(D11: np.ndarray, D12: np.ndarray, scale: np.ndarray) -> float:
     """σ̄ of the part of D11 (p1, m1) that no u can cancel through D12 (p1, m2), for any rank of D12.
 
-    ``scale`` (m2,) as in ``column_rank``.
+    ``scale`` (m2,) is that of ``column_rank``.
     """
     rank, V = column_rank(D12, scale)
     Q = sl.qr(D12 @ V[:, :rank], mode="full")[0] if rank else np.eye(D11.shape[0])

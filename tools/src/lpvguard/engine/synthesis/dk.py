@@ -1,13 +1,14 @@
-"""D-K iteration: controllers with the least certified robust-performance level, low-order scalings, reduced
-order.
+"""D-K iteration: low-order controllers with a small certified level of robust performance.
 
 Robust performance holds at level β when μ(F_l(P, K)(jω)) ≤ β over the blocks of Δ and the full performance
 block. Each Δ block has a scalar D_i(s), stable with stable inverse. Then ‖D F_l(P, K) D⁻¹‖∞ ≤ β proves the
-level at every frequency, with DC and infinity (Doyle 1985; Packard & Doyle 1993). K and D are improved in
-turn. H∞ synthesis for the scaled plant gives K. A fit of Π (s/z + 1)/(s/p + 1) that lowers the scaled
-singular values over the whole band gives D. The reported number is the certified norm of the final scaled
-loop: the proof needs no fit of frequency-wise scalings. D(s) covers an LTI Δ; slow_delta says how slowly Δ
-may vary. A constant D (degree 0) covers Δ that varies arbitrarily fast.
+level at every frequency, DC and infinity included (Doyle 1985; Packard & Doyle 1993).
+
+The iteration improves K and D in turn. H∞ synthesis for the scaled plant gives K. A fit of the form
+Π (s/z + 1)/(s/p + 1), which lowers the scaled singular values over the whole band, gives D. The reported
+level is the certified norm of the final scaled loop. The proof therefore does not depend on the fit.
+D(s) covers a Δ that is linear and time-invariant; slow_delta bounds how fast Δ may vary. A constant D
+(degree 0) covers a Δ that varies arbitrarily fast.
 """
 
 import itertools
@@ -46,8 +47,9 @@ class Scaling:
 
     Attributes
     ----------
-    log_parameters : ndarray (τ, 1 + 2·degree), a row a block, [ln g, ln z_1, ln p_1, ...], z and p in rad/s
-        Without blocks τ = 0 and D = I.
+    log_parameters : ndarray (τ, 1 + 2·degree)
+        Row i holds [ln g, ln z_1, ln p_1, ...] of block i, with z and p in rad/s. Without blocks τ = 0 and D
+        = I.
     """
 
     log_parameters: np.ndarray
@@ -58,7 +60,7 @@ class Scaling:
         return g[:, None] + 0.5 * (np.log1p(_squares(omega, z)) - np.log1p(_squares(omega, p))).sum(axis=1)
 
     def log_gradient(self, omega) -> np.ndarray:
-        """Derivatives of ln |d_i(jω)| by its own parameters, (τ, 1 + 2·degree, k)."""
+        """Derivatives of each ln |d_i(jω)| by the parameters of block i, (τ, 1 + 2·degree, k)."""
         g, z, p = self._parts()
         out = np.ones((len(g), self.log_parameters.shape[1], np.size(omega)))
         for part, sign, first in ((z, -1, 1), (p, 1, 2)):
@@ -67,8 +69,9 @@ class Scaling:
         return out
 
     def systems(self, plant: GeneralisedPlant) -> tuple[StateSpace, StateSpace]:
-        """D on the outputs (Δ inputs and z) and D⁻¹ on the inputs (Δ outputs and w) of the closed loop,
-        continuous.
+        """Continuous systems D and D⁻¹ of the closed loop.
+
+        D acts on its outputs (inputs of Δ, and z). D⁻¹ acts on its inputs (outputs of Δ, and w).
         """
         left, right = [], []
         for row, block in zip(self.log_parameters, plant.blocks, strict=True):
@@ -97,11 +100,11 @@ class RobustPerformance:
     Attributes
     ----------
     upper : float, proved over all frequencies by ``scaling``
-    lower : float, from a ``delta`` that was found and checked
+    lower : float, proved by the checked ``delta``
     lower_frequency : float, rad/s
     bracket : NormBracket, norm of the scaled loop
     scaling : Scaling
-    delta : ndarray (n_in, n_out) of complex or None, uncertainty behind ``lower``
+    delta : ndarray (n_in, n_out) of complex or None, uncertainty that proves ``lower``
     """
 
     upper: float
@@ -114,8 +117,9 @@ class RobustPerformance:
 
 @dataclass(frozen=True)
 class DKResult:
-    """A controller, its robust-performance certificate, the order before reduction and the levels of the
-    iterations.
+    """A controller with its robust-performance certificate.
+
+    ``full_order`` is the order before reduction. ``history`` holds the levels of the iterations.
     """
 
     controller: StateSpace
@@ -137,14 +141,14 @@ def dk_synthesis(
 
     Parameters
     ----------
-    plant : GeneralisedPlant, continuous or discrete, blocks full complex
-        Without blocks: H∞ synthesis.
+    plant : GeneralisedPlant, continuous or discrete
+        All its blocks are full and complex. Without blocks the result is that of H∞ synthesis.
     degree : int, order of each d_i, default 1
-    iterations : int, K and D steps, default 4
+    iterations : int, number of K steps, with D steps between them, default 4
     polish : int, further K steps that change D's parameters directly, default 40
-    reduction_loss : float, relative rise of the certified level by order reduction, default 3e-05
+    reduction_loss : float, largest relative rise of the certified level by order reduction, default 3e-05
     start : Scaling, optional, the first D, by default I
-    workers : Map, shares the two directions of such a step
+    workers : Map, runs the two directions of a ``polish`` step in parallel
 
     Returns
     -------
@@ -186,10 +190,10 @@ def dk_synthesis(
 def certify(
     plant: GeneralisedPlant, controller: StateSpace, scaling: Scaling | None = None
 ) -> RobustPerformance:
-    """Bound μ over frequency for any controller of a plant.
+    """Bound μ over all frequencies for any controller of a plant.
 
-    The upper bound is the certified norm under ``scaling``, or under one fitted again from it when that is
-    lower.
+    The upper bound is the lower one of two certified norms: under ``scaling``, and under a scaling fitted
+    from it.
 
     Parameters
     ----------
@@ -199,7 +203,7 @@ def certify(
 
     Returns
     -------
-    RobustPerformance, inf for an unstable loop
+    RobustPerformance, whose bounds are inf for an unstable loop
     """
     work = _Work(plant)
     K = to_continuous(controller)
@@ -231,14 +235,16 @@ class _Work:
     def __init__(self, plant: GeneralisedPlant):
         self.plant = plant
         self.system = to_continuous(plant.system)
-        self.omega = np.concatenate([[0.0], np.logspace(-4, 4, 64), [1e12]])  # ends stand for DC and infinity
+        self.omega = np.concatenate(
+            [[0.0], np.logspace(-4, 4, 64), [1e12]]
+        )  # the first and last stand for DC and infinity
         edges = np.cumsum([0] + [b.cols for b in plant.blocks] + [plant.performance_block.cols])
         self.rows = [slice(a, b) for a, b in itertools.pairwise(edges)]
         edges = np.cumsum([0] + [b.rows for b in plant.blocks] + [plant.performance_block.rows])
         self.cols = [slice(a, b) for a, b in itertools.pairwise(edges)]
 
     def unwarp(self, omega: float) -> float:
-        """Frequency in the plant's own time of a frequency of its continuous image."""
+        """Frequency of the plant that corresponds to a frequency of its continuous image [rad/s]."""
         dt = self.plant.system.dt
         return float(2 / dt * np.arctan(omega * dt / 2)) if dt else omega
 
@@ -250,13 +256,13 @@ class _Work:
         return balanced(series(left, series(G, right)))
 
     def controller(self, scaling: Scaling, **options) -> HinfResult:
-        """H∞ synthesis for the scaled plant; ``options`` go to hinf_synthesis."""
+        """Result of H∞ synthesis for the scaled plant. ``options`` are passed to hinf_synthesis."""
         return hinf_synthesis(
             self.scaled(self.system, scaling), self.plant.n_control, self.plant.n_measurement, **options
         )
 
     def improved(self, level: float, scaling: Scaling) -> float | None:
-        """The optimum of the scaled plant when it lies below ``level``, else None."""
+        """Optimum of the scaled plant where it lies below ``level``, else None."""
         return improved_level(
             self.scaled(self.system, scaling),
             self.plant.n_control,
@@ -270,16 +276,14 @@ class _Work:
         return hinf_norm(self.scaled(loop, scaling), rtol=1e-5)
 
     def fit(self, loop: StateSpace, start: Scaling, power: float) -> Scaling:
-        """Scaling with the least power mean of σ̄(D M D⁻¹) over the grid; BFGS on the logarithms of its
-        parameters.
-        """
+        """Scaling with the least power mean of σ̄(D M D⁻¹) over the grid, by BFGS on its log parameters."""
         M = loop.response(self.omega)
         shape = start.log_parameters.shape
         blocks = shape[0]
         low, high = np.log(SLOWEST), np.log(FASTEST)
         spread = np.zeros(shape)
         corners = start.log_parameters[:, 1:]
-        if corners.size and np.ptp(corners) == 0:  # away from the stationary points z = p and equal pairs
+        if corners.size and np.ptp(corners) == 0:  # leave the stationary points z = p and equal pairs
             pairs = np.arange(corners.shape[1] // 2)
             centre = (pairs - pairs.mean()) * np.log(10.0)
             spread[:, 1::2], spread[:, 2::2] = centre + np.log(3.0), centre - np.log(3.0)
@@ -317,8 +321,9 @@ class _Work:
     def lower(
         self, loop: StateSpace, scaling: Scaling, peak: float
     ) -> tuple[float, float, np.ndarray | None]:
-        """Best μ lower bound at the scaled norm's peak and at the highest points of the grid: value, rad/s,
-        Δ.
+        """Best lower bound of μ, its frequency [rad/s] and its Δ.
+
+        The bound is computed at the peak of the scaled norm and at the two highest points of the grid.
         """
         left, right = scaling.systems(self.plant)
         sigma = np.linalg.norm(self.scaled(loop, scaling).response(self.omega), 2, axis=(1, 2))
@@ -334,12 +339,12 @@ class _Work:
 
 
 def _diagonals(G: np.ndarray) -> np.ndarray:
-    """Magnitudes of the diagonals of a stack of matrices, (k, n)."""
+    """Magnitudes (k, n) of the diagonals of k matrices."""
     return np.abs(np.diagonal(G, axis1=1, axis2=2))
 
 
 def _polish(work: _Work, scaling: Scaling, level: float, budget: int, workers: Map) -> tuple[float, Scaling]:
-    """Pattern search on D's parameters with the synthesis itself as the measure; ``budget`` K steps."""
+    """Pattern search on the parameters of D. Each of at most ``budget`` trials is one H∞ synthesis."""
     x, size = scaling.log_parameters.copy(), 0.08
     moves = [(i, j) for j in (0, *range(x.shape[1] - 1, 0, -1)) for i in range(x.shape[0])]
     direction = dict.fromkeys(moves, 1.0)
@@ -362,14 +367,14 @@ def _polish(work: _Work, scaling: Scaling, level: float, budget: int, workers: M
 
 
 def reduce_controller(work: _Work, K: StateSpace, scaling: Scaling, level: float) -> StateSpace:
-    """K with the fewest states whose certified scaled norm stays ≤ ``level``, or K itself."""
+    """K truncated to the fewest states that keep the certified scaled norm ≤ ``level``, or K itself."""
     scaled_plant = work.scaled(work.system, scaling)
     truncated, rank = _truncations(scaled_plant, K)
 
     def passes(order):
         return hinf_norm(lft(scaled_plant, truncated(order)), rtol=1e-5).upper <= level
 
-    low, high = 0, rank + 1  # ``low`` fails, ``high`` passes (rank + 1 stands for K itself)
+    low, high = 0, rank + 1  # order low fails, order high passes; rank + 1 stands for K
     while high - low > 1:
         middle = (low + high) // 2
         if passes(middle):
@@ -380,11 +385,11 @@ def reduce_controller(work: _Work, K: StateSpace, scaling: Scaling, level: float
 
 
 def _truncations(scaled_plant: StateSpace, K: StateSpace) -> tuple[Callable[[int], StateSpace], int]:
-    """K truncated to any order up to the returned rank, in closed-loop coordinates.
+    """Function that truncates K to an order, and the largest order that it accepts.
 
-    The controller's blocks of the scaled closed loop's Gramians say what each of its states contributes to z
-    from w (Ceton, Wortelboer & Bosgra 1993); works for unstable controllers too. Rank 0: the Gramians could
-    not be had.
+    The Gramians of the scaled closed loop have blocks that belong to the controller. These blocks show how
+    much each controller state contributes to the path from w to z (Ceton, Wortelboer & Bosgra 1993). The
+    method also works for unstable controllers. The rank is 0 where the Gramians cannot be computed.
     """
     loop = lft(scaled_plant, K)
     n = scaled_plant.order
@@ -407,7 +412,9 @@ def _truncations(scaled_plant: StateSpace, K: StateSpace) -> tuple[Callable[[int
 
 
 def gramian_factor(gramian: np.ndarray) -> np.ndarray:
-    """A square factor F (n, n) of a Gramian (n, n): F Fᵀ = gramian with rounding's negative eigenvalues
-    dropped."""
+    """Square factor F (n, n) of a Gramian (n, n), with F Fᵀ = gramian.
+
+    Negative eigenvalues, which are rounding, are replaced by 0.
+    """
     values, vectors = np.linalg.eigh(0.5 * (gramian + gramian.T))
     return vectors * np.sqrt(np.maximum(values, 0.0))

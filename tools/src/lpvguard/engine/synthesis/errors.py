@@ -1,7 +1,7 @@
-"""Errors of the synthesis: the failing assumption, its place and the remedy."""
+"""Error of the synthesis. It names the failing assumption, its place and the remedy."""
 
 from lpvguard.base.errors import InputError
 
 
 class SynthesisError(InputError):
-    """A problem without an answer; ``expected`` is the remedy."""
+    """The problem has no solution. ``expected`` names the remedy."""

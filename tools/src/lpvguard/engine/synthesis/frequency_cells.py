@@ -1,13 +1,13 @@
-"""Bounds proved on a whole interval of frequencies, by cells laid side by side (THEORY 6.2).
+"""Bounds proved on a whole interval of frequencies, which adjacent cells cover (THEORY 6.2).
 
-At one frequency the bound β holds with scalings D, G where
+At one frequency, scalings D and G prove the bound β if
 
     Φ(ω) = β² D_R − M(jω)ᴴ D_L M(jω) − j (G M(jω) − M(jω)ᴴ G) ≻ 0.
 
-With D and G kept, Φ stays positive definite up to the nearest frequency at which it is singular. Those
-frequencies are imaginary eigenvalues of one Hamiltonian matrix. Rounding moves such eigenvalues off the
-axis, so all near it are taken, and Φ itself is tested between them and at both ends. Rounding of M and of the
-products is allowed for in each test. No value between grid points is assumed.
+With constant D and G, Φ stays positive definite up to the nearest frequency at which Φ is singular. These
+frequencies are imaginary eigenvalues of one Hamiltonian matrix. Rounding moves such eigenvalues off the axis.
+All eigenvalues near the axis are therefore used, and Φ itself is tested between them and at both ends. Each
+test allows for rounding of M and of the products. No value between grid points is assumed.
 """
 
 from __future__ import annotations
@@ -31,15 +31,17 @@ from lpvguard.engine.synthesis.statespace import (
 from lpvguard.engine.synthesis.structure import Structure
 
 SHORT = 0.999
-"""Of the way to a frequency where Φ is singular, that a cell goes."""
+"""A cell covers this share of the distance to a frequency where Φ is singular."""
 NEAR, ROUNDED = 1e-2, 1e-8
-"""Real part, over the eigenvalue's size and over the matrix's norm, up to which an eigenvalue may be one on
-the imaginary axis that rounding moved: a double one moves by about sqrt(eps) of the norm."""
+"""An eigenvalue counts as one on the imaginary axis if its real part is below ``NEAR`` times its magnitude
+plus ``ROUNDED`` times the norm of the matrix. Rounding moves a double eigenvalue by about sqrt(eps) times the
+norm."""
 MOST_CELLS = 3000
 ROOM = 0.25
-"""Share of the tolerance that must lie between a bound and a level that is asked for."""
+"""Least gap between a computed bound and the level ``least``, as a share of the tolerance."""
 CLEARLY = 0.95
-"""Of the largest bound: below it a cell is wide with any scalings, and those at hand will do."""
+"""Share of the largest bound. Below it a neighbour's scalings are used, because a cell is wide with any
+scalings."""
 
 
 @dataclass(frozen=True)
@@ -58,9 +60,9 @@ class IntervalBound:
     Attributes
     ----------
     upper : float
-    largest : float, largest bound that was computed at one frequency, at ``omega`` [rad/s]
-    omega : float
-    cells : tuple of FrequencyCell, they cover the interval, each at the level ``upper``
+    largest : float, largest bound that was computed at a single frequency
+    omega : float, rad/s, frequency of ``largest``
+    cells : tuple of FrequencyCell, cover the interval and each prove the level ``upper``
     """
 
     upper: float
@@ -95,17 +97,17 @@ def cover(
     held: Callable[[np.ndarray, PointBound], float],
     least: float = 0.0,
 ) -> IntervalBound:
-    """Cover the interval from ``low`` to ``high`` [rad/s] by cells; ``high`` may be infinite, in discrete
-    time pi / dt.
+    """Cover the interval from ``low`` to ``high`` [rad/s] by cells.
 
-    ``name`` says in errors who asks. ``loop`` is stable, with Σcols outputs and Σrows inputs. ``at`` takes M
-    (Σcols, Σrows) and the largest bound so far to the bound at that frequency. ``held`` takes M and a bound
-    elsewhere to what its scalings prove at M; inf: nothing. ``upper`` exceeds ``largest`` by the share
-    ``rtol``. It is ``least`` where that level can be proved. SynthesisError: the loop is not stable, or of
-    another shape than the blocks, or its cells do not cover the interval.
+    ``high`` may be inf in continuous time and pi / dt in discrete time. ``name`` names the caller in errors.
+    ``loop`` is stable and has Σcols outputs and Σrows inputs. ``at(M, largest)`` returns the bound at a
+    frequency from the response M (Σcols, Σrows) and the largest bound so far. ``held(M, point)`` returns the
+    bound that the scalings of ``point``, computed at another frequency, prove at M; inf means no bound.
+    ``upper`` exceeds ``largest`` by the share ``rtol``, or equals ``least`` where this level can be proved.
 
-    The search begins where the scalings of one frequency prove the least of all poles' frequencies, near the
-    peak. Where a neighbour's scalings prove clearly less than the largest bound, none are searched for.
+    The search begins near the peak, as ``_likely_peak`` estimates it. Where a neighbour's scalings prove
+    clearly less than the largest bound, no new scalings are searched. Raises SynthesisError if the loop is
+    not stable, its shape is not that of the blocks, or the cells do not cover the interval.
     """
     G, first, last, unwarped = continuous_interval(name, loop, structure, low, high)
     size = float(np.abs(G.poles()).max()) if G.order else 1.0
@@ -143,7 +145,8 @@ def cover(
 def continuous_interval(
     name: str, loop: StateSpace, structure: Structure, low: float, high: float
 ) -> tuple[StateSpace, float, float, Callable[[float], float]]:
-    """Return the balanced loop in continuous time with its interval, and the map of its frequencies back.
+    """Return the balanced loop in continuous time, its interval, and the map from its frequencies to the
+    loop's.
 
     Parameters, errors and units are those of ``cover``.
     """
@@ -167,9 +170,9 @@ def _positive_on(G: StateSpace, point: PointBound, level: float, omega: float) -
 
 
 def response_rounding(G: StateSpace, omega: float) -> np.ndarray:
-    """Return how much rounding of the entries of A, B, C, D moves each entry of G at ``omega``, shape (p, m).
+    """Return the error (p, m) of the response G(jω) from rounding of the entries of A, B, C and D.
 
-    An error of first order, entry by entry: it does not depend on the units of the states.
+    The estimate is of first order in each entry, so it does not depend on the units of the states.
     """
     moved = np.abs(G.D)
     if G.order and np.isfinite(omega):
@@ -199,8 +202,11 @@ def _likely_peak(
     b: float,
     size: float,
 ) -> float:
-    """Of the middle of [a, b] and the frequencies of poles in it, that at which the scalings of the middle
-    prove the least."""
+    """Estimate of the frequency in [a, b] with the largest bound.
+
+    The candidates are the middle of [a, b] and the frequencies of poles in it. The scalings of the middle
+    prove the worst bound at the chosen one.
+    """
     between = middle(a, b, size)
     omega = np.abs(G.poles())
     omega = np.unique(np.r_[between, omega[(omega > a) & (omega < b)]])
@@ -219,15 +225,17 @@ def quadratic(M: np.ndarray, point: PointBound) -> np.ndarray:
 
 
 def middle(a: float, b: float, size: float) -> float:
-    """Return a frequency between ``a`` and ``b`` [rad/s]; ``size`` is that of the fastest pole."""
+    """Return a frequency between ``a`` and ``b`` [rad/s]. ``size`` is the magnitude of the fastest pole."""
     if np.isinf(b):
         return max(2 * a, size)
     return float(np.sqrt(a * b)) if a > 0.1 * b else 0.5 * (a + b)
 
 
 def is_positive(M: np.ndarray, moved: np.ndarray, point: PointBound, level: float) -> bool:
-    """Tell whether Φ ≻ 0 at level β at M (Σcols, Σrows), the response at one frequency, and at every matrix
-    within its rounding ``moved``."""
+    """Return whether Φ ≻ 0 at ``level`` for every matrix near M.
+
+    M (Σcols, Σrows) is the response at one frequency. ``moved`` (Σcols, Σrows) bounds the rounding of its
+    entries."""
     try:
         factor = np.linalg.inv(np.linalg.cholesky(point.fixed + level**2 * point.scaled))
     except np.linalg.LinAlgError:
@@ -255,7 +263,8 @@ def cell(
 ) -> tuple[float, float]:
     """Return the part of [a, b] about ``centre`` on which Φ is positive definite.
 
-    Between two neighbours of ``_singular`` Φ keeps its signs, so one test by ``positive`` decides each gap.
+    Between two neighbouring frequencies of ``_singular`` the eigenvalues of Φ keep their signs. One test by
+    ``positive`` therefore decides each gap.
     """
     singular = _singular(G, point, level)
 
@@ -274,11 +283,12 @@ def cell(
 
 
 def _singular(G: StateSpace, point: PointBound, level: float) -> np.ndarray:
-    """Return the frequencies (K,), rising, at which Φ may be singular.
+    """Return the frequencies (K,), ascending, at which Φ may be singular.
 
-    They are eigenvalues on or near the imaginary axis of the Hamiltonian matrix of x' = A x + B u with the
-    adjoint state p' = -Aᴴ p - Cᴴ q, where Φ u = 0. Extreme scalings would leave it without digits, so inputs
-    are scaled to make fixed + level² scaled the identity, and outputs to make left the identity.
+    They are eigenvalues, on or near the imaginary axis, of a Hamiltonian matrix. This matrix belongs to x' =
+    A x + B u with the adjoint state p' = -Aᴴ p - Cᴴ q, where Φ u = 0. Extreme scalings would cost all its
+    digits. Inputs are therefore scaled to make fixed + level² scaled the identity, and outputs to make left
+    the identity.
     """
     right = np.linalg.inv(np.linalg.cholesky(point.fixed + level**2 * point.scaled)).conj().T
     root = np.linalg.cholesky(point.left + np.finfo(float).tiny * np.eye(len(point.left)))
@@ -295,7 +305,7 @@ def _singular(G: StateSpace, point: PointBound, level: float) -> np.ndarray:
     u = np.linalg.solve(infinity, np.hstack([q_u.conj().T @ C, B.conj().T]))
     free = np.block([[A, np.zeros((n, n))], [-C.conj().T @ C, -A.T]])
     hamiltonian = free + np.vstack([B, -C.conj().T @ q_u]) @ u
-    if not hamiltonian.imag.any():  # as without G, and with D of full blocks: at a quarter of the cost
+    if not hamiltonian.imag.any():  # real where G = 0 and all blocks are full: a quarter of the cost
         hamiltonian = hamiltonian.real
     values = np.linalg.eigvals(hamiltonian)
     room = NEAR * np.abs(values) + ROUNDED * float(np.linalg.norm(hamiltonian))

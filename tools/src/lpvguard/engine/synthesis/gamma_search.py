@@ -1,8 +1,9 @@
 """Search for γ_opt, the least level of any stabilising controller.
 
-The Riccati equations decide one level. The search starts from the bound at single frequencies, most often the
-optimum of a weighted problem, and otherwise brackets it. The reduced problem of a singular plant does not
-contain the Parrott bound at the frequency where rank is lost. That bound is kept separately, as ``floor``.
+The Riccati equations decide whether one level can be reached. The search first tries the bound at single
+frequencies, which is most often the optimum of a weighted problem. Otherwise it brackets the optimum. The
+reduced problem of a singular plant does not contain the Parrott bound at the frequency where rank is lost.
+This bound is kept separately, as ``floor``.
 """
 
 from collections.abc import Iterator
@@ -21,7 +22,7 @@ from lpvguard.engine.synthesis.statespace import StateSpace
 from lpvguard.engine.synthesis.zeros import axis_bounds, axis_zeros
 
 LIMIT_RTOL = 1e-4
-"""Rounding allowed for in the bound of a single frequency."""
+"""Relative rounding error that is allowed in the bound at a single frequency."""
 GAMMA_RTOL = 1e-6
 """Relative width of the bracket of a regular problem's optimum."""
 
@@ -31,10 +32,10 @@ def _above_one(value: float | None) -> TypeGuard[float]:
 
 
 class GammaProblem:
-    """One continuous plant: the search for its optimum and the central controllers.
+    """Search for the optimum of one continuous plant, and its central controllers.
 
-    notes: singularities in words. floor: the Parrott bounds, direct and at zeros on the imaginary axis. axis:
-    frequencies of those zeros in rad/s.
+    ``notes`` describe singularities in words. ``floor`` is the largest Parrott bound, of the direct terms and
+    of the zeros on the imaginary axis. ``axis`` holds the frequencies of these zeros in rad/s.
     """
 
     def __init__(self, P: Plant):
@@ -42,7 +43,7 @@ class GammaProblem:
         self.control, self.filter = reduced_side(P), reduced_side(P.dual)
         n = len(P.A)
         self.notes: list[str] = []
-        self._couplings: dict[float, float | None] = {}  # searches ask for one level again
+        self._couplings: dict[float, float | None] = {}  # one level is often needed again
         self.rank_lost = False
         for side, Q, name, signal in (
             (self.control, P, "D12", "controls without direct cost"),
@@ -53,7 +54,7 @@ class GammaProblem:
             if rank < full_rank:
                 self.rank_lost = True
                 self.notes.append(
-                    f"{name} has rank {rank} of {full_rank} ({signal}): {n - side.A.shape[0]} states freed"
+                    f"{name} has rank {rank} of {full_rank} ({signal}): {n - side.A.shape[0]} states removed"
                 )
             if side.axis:
                 where = "P12" if name == "D12" else "P21"
@@ -77,13 +78,12 @@ class GammaProblem:
 
     @property
     def certain(self) -> float:
-        """A level that no controller goes below, whatever the Riccati equations say: single frequencies,
-        direct terms."""
+        """Lower bound of γ for every controller, from single frequencies and direct terms alone."""
         return max(self.floor, self._lowest)
 
     @cached_property
     def _lowest(self) -> float:
-        """The bound of single frequencies, before any level is asked about."""
+        """Lower bound of γ from single frequencies: DC and those of the poles."""
         return max(side.frequency_bound() for side in (self.control, self.filter))
 
     def coupling(self, gamma: float) -> float | None:
@@ -104,10 +104,10 @@ class GammaProblem:
     def optimum(self, rtol: float, guess: float | None = None) -> float:
         """The infimum of reachable γ, to ``rtol``.
 
-        It is the limit of single frequencies where that limit is reached. Elsewhere it is bracketed from
-        above that limit or around ``guess``, and secant steps narrow the bracket. The search starts from
-        above: far below the optimum the Riccati equations are rounding and may seem to be solved.
-        SynthesisError when no level can be reached.
+        It equals the bound at single frequencies where this bound can be reached. Otherwise the search
+        brackets it above this bound or around ``guess``, and secant steps narrow the bracket. The search
+        starts from above. Far below the optimum, rounding may make the Riccati equations seem to have a
+        solution. Raises SynthesisError when no level can be reached.
         """
         limit, value = self._frequency_limit(rtol)
         floor, floor_value, start = limit, value, max(2 * limit, 1.0)
@@ -140,9 +140,10 @@ class GammaProblem:
     def _reachable(
         self, low: float, low_value: float | None, growth: float, limit: float, faster: bool
     ) -> tuple[float, float | None, float, float]:
-        """A bracket above the level ``low``, which is not reached: its ends with the ``coupling`` at each.
+        """A bracket above the unreachable level ``low``: both ends, and the ``coupling`` at each.
 
-        Levels grow by ``growth``, with ``faster`` by its square each time; SynthesisError above ``limit``.
+        Levels grow by the factor ``growth``. With ``faster`` this factor is squared at each step. Raises
+        SynthesisError above ``limit``.
         """
         while True:
             high, growth = low * growth, growth**2 if faster else growth
@@ -159,19 +160,19 @@ class GammaProblem:
             low, low_value = high, value
 
     def _frequency_limit(self, rtol: float) -> tuple[float, float | None]:
-        """A level ``rtol`` above the largest bound of a single frequency, and the ``coupling`` there.
+        """A level ``rtol`` above the largest bound at a single frequency, and the ``coupling`` at this level.
 
         Where a Riccati equation has no solution, the axis eigenvalues of its Hamiltonian show frequencies
         where the bound may be larger (as in Bruinsma & Steinbuch 1990).
         """
         sides = self.control, self.filter
         bound, level, value = self._lowest, self.floor, None
-        if self.axis or bound * (1 - LIMIT_RTOL) <= level:  # near the floor rounding hides the reached level
+        if self.axis or bound * (1 - LIMIT_RTOL) <= level:  # near the floor, rounding decides
             return level, None
         for _ in range(20):
             if bound <= level:
                 break
-            level = bound * (1 + min(rtol, GAMMA_RTOL))  # the finer one costs no more
+            level = bound * (1 + min(rtol, GAMMA_RTOL))  # the finer tolerance costs no more
             value = self.coupling(level)
             if value is not None:
                 break
@@ -197,7 +198,7 @@ class GammaProblem:
                 and step % 4 != 3
             ):
                 t = (1 - low_value) / (high_value - low_value)
-                # aim a little past the root, so that the next step has it from the other side
+                # aim a little past the root: the next step then approaches from the other side
                 past = 0.3 * rtol + (0.02 * width * abs(0.5 - t) if stalled else 0.0)
                 middle = np.clip(
                     a + t * width + (past if t < 0.5 else -past), a + 1e-4 * width, b - 1e-4 * width
@@ -212,15 +213,15 @@ class GammaProblem:
         return high
 
     def attempts(self) -> Iterator[tuple[float, float]]:
-        """(ε, share of the back-off) in the order to try; mild controllers first."""
+        """Pairs (ε, share of the back-off) in the order of trials, mild controllers first."""
         if not self.singular:
             yield from ((0.0, share) for share in (0.97, 0.5, 0.25))
         for exponent in range(1, 15):
             yield 10.0**-exponent, 0.9
 
     def controller(self, gamma: float, epsilon: float) -> StateSpace | None:
-        """Central controller at ``gamma`` of the plant with extra cost and noise ε; None when it is not
-        reached.
+        """Central controller at ``gamma`` of the plant with extra cost and noise ε; None where ``gamma`` is
+        too low.
         """
         P = self.P if epsilon == 0 else extended_plant(self.P, self.soft, epsilon)
         return central_controller(P, gamma)

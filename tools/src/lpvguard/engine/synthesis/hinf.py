@@ -1,13 +1,14 @@
-"""H∞-optimal output feedback with a certificate, continuous and discrete, regular and singular problems.
+"""H∞-optimal output feedback with a certificate, for continuous and discrete, regular and singular problems.
 
 Two coupled Riccati equations (Glover & Doyle 1988; Zhou, Doyle & Glover 1996, section 17.1: general D11)
 decide whether a level γ can be reached (``gamma_search``, ``riccati``). The controller is the central one at
-a level a little above the optimum (``central``). The norm reported for it is that of the true closed loop on
-the plant as given.
+a level a little above the optimum (``central``). The reported norm is that of the closed loop with the
+original plant.
 
-Singular problems (D12 or D21 without full rank, zeros on the imaginary axis) are solved, not refused
-(``singular``, ``zeros``). The optimum comes from exact reduction, the controller from a regular plant with an
-extra cost and an extra noise ε. ε is the largest power of ten whose certified norm is close enough.
+In a singular problem D12 or D21 lacks full rank, or P12 or P21 has zeros on the imaginary axis. Such problems
+are solved as well (``singular``, ``zeros``). Exact reduction gives the optimum. A regular plant with an extra
+cost and an extra noise ε gives the controller. ε is the largest power of ten whose certified norm is close
+enough.
 """
 
 from collections.abc import Callable
@@ -43,36 +44,35 @@ from lpvguard.engine.synthesis.statespace import (
 )
 
 MAX_WORK = 1000
-"""Controllers tried times states: bounds the time of a problem whose optimum is out of reach."""
+"""Bound of the number of trial controllers times the number of states. It limits the time of a problem whose
+optimum is out of reach."""
 PERTURBED, DEDUCTED = 3, 3.0
-"""Changes of the data that are tried; how many times what they move is deducted from what a dual certificate
-proves."""
+"""Number of trial changes of the data. A dual bound is reduced by ``DEDUCTED`` times the largest change of
+the optimum that they cause."""
 DATA_RTOL, MAPPED_RTOL = 1e-14, 1e-11
-"""Relative change of the data as given, some tens of units of rounding, that may move an optimum, and that in
-discrete time, where the bilinear map rounds the data."""
+"""Relative change of the data in a trial: some tens of rounding units, and more in discrete time, where the
+bilinear map rounds the data."""
 NORM_RTOL, WIDEST = 1e-5, 0.1
-"""To which the norm of a closed loop is known besides rounding, and what rounding may add where other
-coordinates count."""
+"""Relative width of a norm bracket without rounding, and the largest width at which other coordinates are
+tried."""
 LEVEL_RTOL, MOVED_RTOL, CLAIM_RTOL = 1e-4, 1e-5, 1e-7
-"""To which the optimum below a given level, one of changed data, and one that caps a dual bound, is found."""
+"""Relative accuracy of an optimum: below a given level, for changed data, and as a cap of a dual bound."""
 
 Coordinates = Callable[[StateSpace], tuple[StateSpace, np.ndarray]]
-"""A system in other coordinates of its state, and their basis (n, n)."""
+"""Function that returns a system in other coordinates of its state, and the basis (n, n)."""
 
 
 @dataclass(frozen=True)
 class HinfResult:
     """A controller with its certificate.
 
-    ``gamma`` is the optimum (infimum over stabilising controllers) by the Riccati equations. It is a claim of
-    those equations; ``proved_lower_bound`` proves a level below it. ``resolved`` says whether the controller
-    comes within the back-off of the optimum. ``gamma_achieved`` ≥ ‖F_l(P, K)‖∞ is the upper end of the
-    bracket of the closed loop's norm on the given plant. ``certificate`` is the whole bracket, with its peak
-    frequency in rad/s. ``regularisation`` is ε of the controller's design plant, 0 for a regular problem.
-    ``notes`` say what was singular.
-
-    ``basis`` (n, n) maps the controller's state x_K to the plant's state basis x_K. Controllers of
-    neighbouring plants are neighbours in the plant's coordinates.
+    ``gamma`` is the optimum (infimum over stabilising controllers) by the Riccati equations. It is not
+    proved; ``proved_lower_bound`` proves a level below it. ``resolved`` says whether the controller is within
+    the back-off of the optimum. ``gamma_achieved`` ≥ ‖F_l(P, K)‖∞ is the proved upper bound of the closed
+    loop's norm. ``certificate`` is the whole bracket, with the peak frequency in rad/s. ``regularisation`` is
+    ε of the controller's design plant, 0 for a regular problem. ``notes`` describe singularities. ``basis``
+    (n, n) maps the controller's state x_K to the coordinates of the plant's state, as basis x_K. In these
+    coordinates, neighbouring plants have neighbouring controllers.
     """
 
     controller: StateSpace
@@ -97,15 +97,14 @@ def hinf_synthesis(
 ) -> HinfResult:
     """Synthesise a controller u = K y with ‖F_l(P, K)‖∞ ≤ (1 + backoff) γ_opt, certified.
 
-    It exists when (A, B2) is stabilisable and (A, C2) detectable. Singular problems are regularised, with a
-    note in
-    the result.
+    It exists when (A, B2) is stabilisable and (A, C2) detectable. Singular problems are regularised, and a
+    note in the result says so.
 
     Parameters
     ----------
-    plant : StateSpace, whose last inputs are u and last outputs y
+    plant : StateSpace, its last inputs are u and its last outputs are y
     n_control, n_measurement : int, sizes of u and y
-    backoff : float, keeps the controller's poles slow, which diverge at the optimum, default 0.008
+    backoff : float, relative distance from the optimum, where the controller's poles diverge, default 0.008
     rtol : float, width of the bracket of γ_opt
     guess : float, optional, level near γ_opt, which saves time
     level : float, optional, level above γ_opt for the controller, instead of backoff and bracket
@@ -118,7 +117,7 @@ def hinf_synthesis(
     Raises
     ------
     SynthesisError
-        If no controller exists; it names the failing condition and the remedy.
+        If no controller exists. The error names the failing condition and the remedy.
 
     References
     ----------
@@ -151,8 +150,9 @@ def hinf_synthesis(
 def improved_level(
     plant: StateSpace, n_control: int, n_measurement: int, level: float, rtol: float, least: float = 0.0
 ) -> float | None:
-    """γ_opt to ``rtol`` when it lies below ``level``, else None: decided by one pair of Riccati equations.
-    ``least``: below it the optimum does not matter, and it is what is returned."""
+    """γ_opt to ``rtol`` where it lies below ``level``, else None. One pair of Riccati equations decides this.
+
+    Where γ_opt lies below ``least``, ``least`` is returned."""
     problem = _posed(plant, n_control, n_measurement, schur_coordinates).problem
     if least > 0 and problem.reached(least):
         return least
@@ -160,20 +160,20 @@ def improved_level(
 
 
 def optimal_level(plant: StateSpace, n_control: int, n_measurement: int, rtol: float) -> float:
-    """γ_opt to ``rtol``; SynthesisError where no level can be reached."""
+    """γ_opt to the relative accuracy ``rtol``. Raises SynthesisError where no level can be reached."""
     return _posed(plant, n_control, n_measurement, schur_coordinates).problem.optimum(rtol)
 
 
 @dataclass(frozen=True)
 class LowerBound:
-    """What is proved of the optimum from below.
+    """A proved lower bound of the optimum.
 
     Attributes
     ----------
-    value : float, a level that no controller goes below
+    value : float, lower bound of γ for every controller
     moved : float
-        Largest relative change of the optimum by changes of ``DATA_RTOL`` of the data and of ``ALLOWANCE``
-        of the balanced plant. It is 0 where single frequencies decide.
+        Largest relative change of the optimum when the data change by ``DATA_RTOL`` and the balanced plant by
+        ``ALLOWANCE``. It is 0 where single frequencies decide.
     size : float, largest gain from w to z at zero and at the frequencies of the poles
     """
 
@@ -197,9 +197,9 @@ def proved_lower_bound(plant: StateSpace, n_control: int, n_measurement: int, ga
 
     Notes
     -----
-    Single frequencies always count. A dual certificate holds for the plant in coordinates to which it is
-    taken by exact products. What changes of the data and ``ALLOWANCE`` of those entries move the optimum is
-    deducted.
+    The bound at single frequencies always holds. A dual certificate holds for the plant in other coordinates,
+    which exact products compute. Its bound is reduced by the effect of rounding errors on the optimum, which
+    trial changes of the data estimate.
     """
     value, size = frequency_level(plant, n_control, n_measurement), _gain(plant, n_control, n_measurement)
     moved = np.inf
@@ -234,8 +234,8 @@ def moved_by_digits(plant: StateSpace, n_control: int, n_measurement: int) -> tu
     Returns
     -------
     tuple[float, float]
-        Relative change of the data, and the largest relative change of the optimum that it made, in the
-        coordinates in which it is least.
+        Relative change of the data, and the largest relative change of the optimum that it caused. The change
+        of the optimum is the least over the choices of coordinates.
     """
     moved = min(
         _moved_optimum(plant, n_control, n_measurement, coordinates, 0.0)
@@ -251,8 +251,11 @@ def _data_share(plant: StateSpace) -> float:
 def _moved_optimum(
     plant: StateSpace, n_control: int, n_measurement: int, coordinates: Coordinates, allowance: float
 ) -> float:
-    """Return the largest relative change of the optimum by changes of the data as given, and by
-    ``allowance`` of the entries in ``coordinates``; inf where no optimum is found."""
+    """Return the largest relative change of the optimum over trial changes of the data.
+
+    The trials change the original data, and by ``allowance`` the entries in ``coordinates``. The result is
+    inf where the search finds no optimum.
+    """
     levels = []
     for seed in (None, *range(PERTURBED)):
         signs = np.random.default_rng(seed).choice
@@ -274,10 +277,10 @@ def _moved_optimum(
 
 @dataclass(frozen=True)
 class _Posed:
-    """The continuous problem of a plant, and what leads back to the plant as given.
+    """The continuous problem of a plant, and the data that map its controller back to the original plant.
 
-    D22 (p2, m2): left out of the problem. shift (m2, p2): the static feedback that was closed first. basis
-    (n, n): the problem has the plant's state in it.
+    D22 (p2, m2) is the feedthrough that the problem leaves out. shift (m2, p2) is the static feedback that
+    was closed first. basis (n, n) holds the problem's coordinates: x_plant = basis x_problem.
     """
 
     plant: StateSpace
@@ -287,10 +290,10 @@ class _Posed:
     basis: np.ndarray
 
     def norm(self, K: StateSpace) -> NormBracket:
-        """The norm of the plant as given, closed by its controller K.
+        """Norm of the original plant closed by its controller K.
 
-        Where rounding leaves it wide, the problem's state may narrow it: both must find it stable, and the
-        upper end is none below the lower end of the other.
+        Where rounding makes the bracket wide, the coordinates of the problem may narrow it. Both computations
+        must find the loop stable. The new upper end does not lie below the lower end of the first bracket.
         """
         norm = hinf_norm(lft(self.plant, K), rtol=NORM_RTOL)
         wide = norm.lower * (1 + 2 * NORM_RTOL) < norm.upper <= norm.lower * (1 + WIDEST)
@@ -301,7 +304,8 @@ class _Posed:
         return replace(norm, upper=upper, lower=min(norm.lower, other.upper)) if upper < norm.upper else norm
 
     def restore(self, K: StateSpace) -> StateSpace:
-        """The controller of the plant as given from the problem's, in the plant's time and names."""
+        """Controller of the original plant from the problem's controller K, with the plant's sample time and
+        names."""
         plant, (n_u, n_y) = self.plant, self.shift.shape
         K = absorb_feedthrough(K, self.D22)
         K = to_discrete(K, plant.dt) if plant.dt else K
@@ -311,9 +315,7 @@ class _Posed:
 
 
 def _posed(plant: StateSpace, n_control: int, n_measurement: int, coordinates: Coordinates) -> _Posed:
-    """The problem with its state in one choice of ``coordinates``; SynthesisError unless a controller
-    exists.
-    """
+    """The problem with its state in ``coordinates``. Raises SynthesisError unless a controller exists."""
     check_shape(plant, n_control, n_measurement)
     shift, shifted = move_pole_at_minus_one(plant, n_control, n_measurement)
     basis = np.eye(plant.order)
@@ -329,8 +331,8 @@ def _posed(plant: StateSpace, n_control: int, n_measurement: int, coordinates: C
 
 
 def _synthesis(posed: _Posed, backoff: float, rtol: float, guess: float | None) -> HinfResult:
-    """The first controller whose certified norm is within ``backoff`` of the optimum; the best one when none
-    is.
+    """First controller whose certified norm is within ``backoff`` of the optimum, or else the best
+    controller.
     """
     problem = posed.problem
     try:
@@ -356,10 +358,10 @@ def _synthesis(posed: _Posed, backoff: float, rtol: float, guess: float | None) 
 
 
 class _Trials:
-    """Controllers of one problem, tried one after the other; ``best`` has the least certified norm so far.
+    """Trial controllers of one problem. ``best`` has the least certified norm so far.
 
-    gamma: the optimum that the Riccati equations claim. backoff: how far above it a controller is good
-    enough, relative.
+    ``gamma`` is the optimum that the Riccati equations claim. ``backoff`` is the relative distance above it
+    at which a controller is good enough.
     """
 
     def __init__(self, posed: _Posed, gamma: float, backoff: float):
@@ -369,7 +371,7 @@ class _Trials:
 
     @property
     def reached(self) -> float:
-        """The least certified norm; inf before the first controller."""
+        """Least certified norm so far, inf before the first controller."""
         return np.inf if self.best is None else self.best.gamma_achieved
 
     @property
@@ -390,7 +392,7 @@ class _Trials:
             t = balancing(central) if central.order else np.ones(0)
             K = posed.restore(scaled_states(central, t))
             norm = posed.norm(K)
-        except (np.linalg.LinAlgError, SynthesisError):  # what cannot be realised is no controller
+        except (np.linalg.LinAlgError, SynthesisError):  # the controller cannot be realised
             return
         if self.best is None or norm.upper < self.best.gamma_achieved:
             claim = min(self.gamma, norm.lower)
@@ -405,7 +407,7 @@ class _Trials:
             )
 
     def near_optimum(self) -> None:
-        """Levels within the back-off of the optimum, until one is good; mild controllers first."""
+        """Try levels within the back-off of the optimum, mild controllers first, until one is good."""
         for epsilon, share in self.posed.problem.attempts():
             if self.gamma > 0:
                 self.attempt(self.gamma * (1 + share * self.backoff), epsilon)
@@ -413,7 +415,7 @@ class _Trials:
                 return
 
     def descend(self) -> None:
-        """Lower levels step by step while ε falls, from any level that can be reached at all."""
+        """Start from any reachable level, then lower the level and ε step by step."""
         singular, level = self.posed.problem.singular, max(self.gamma, 1e-6)
         while not np.isfinite(self.reached) and level < 1e12:
             for epsilon in (1e-1, 1e-2, 1e-3, 1e-4, 1e-6) if singular else (0.0,):
@@ -429,7 +431,7 @@ class _Trials:
 
 
 def _unresolved(best: HinfResult, posed: _Posed, gamma: float) -> HinfResult:
-    """``best`` with what is known of the optimum, in numbers and in words: none came close to ``gamma``."""
+    """``best`` marked as not resolved, with a note on its distance from ``gamma``."""
     fastest = np.abs(best.controller.poles()).max(initial=0.0)
     note = (
         f"not resolved: the best controller achieves {best.gamma_achieved:.4g} and has poles up to "
@@ -440,6 +442,6 @@ def _unresolved(best: HinfResult, posed: _Posed, gamma: float) -> HinfResult:
 
 
 def _expected(plant: StateSpace) -> str:
-    """What would help: balanced coordinates only where the plant's own are shown to be the trouble."""
+    """Remedy in words: balanced coordinates only where rounding of the plant's own makes a pole uncertain."""
     frail = frail_pole(plant)
     return f"balanced or modal coordinates: {frail}" if frail else "an optimum that double precision can show"

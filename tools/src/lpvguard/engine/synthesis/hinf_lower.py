@@ -1,4 +1,4 @@
-"""Lower bounds of the H∞ optimum by a dual certificate that is checked apart from its making.
+"""Lower bounds of the H∞ optimum by a dual certificate, whose check does not depend on its construction.
 
 Some controller reaches a level γ exactly when R and S exist with (Gahinet & Apkarian 1994)
 
@@ -8,16 +8,16 @@ Some controller reaches a level γ exactly when R and S exist with (Gahinet & Ap
     L(R; ...) =  ⎢ C1 R         −γ I    D11 ⎥,   N₁ = null [B2ᵀ D12ᵀ 0],   N₂ = null [C2 D21 0].
                  ⎣ B1ᵀ          D11ᵀ   −γ I ⎦
 
-Let Z₁, Z₂ ≽ 0 lie within these null spaces, and let tr(Z₁ L(R)) = tr(R Q₁) + c₁ − γ t₁; Q₂, c₂, t₂ alike.
-Where Q₁, Q₂ ≽ 0, every such γ is at least
+Let Z₁, Z₂ ≽ 0 lie within these null spaces, and let tr(Z₁ L(R)) = tr(R Q₁) + c₁ − γ t₁. Define Q₂, c₂ and t₂
+in the same way by Z₂. Where Q₁, Q₂ ≽ 0, every such γ is at least
 
     (c₁ + c₂ + 2 ‖Q₁^½ Q₂^½‖_*) / (t₁ + t₂).
 
-*Proof.* Add the three inequalities, with the multiplier [Q₁ W; Wᵀ Q₂] ≽ 0 of the third, R and S cancel. The
+*Proof.* Add the three inequalities, the third with the multiplier [Q₁ W; Wᵀ Q₂] ≽ 0. R and S then cancel. The
 least tr W of such a multiplier is minus the nuclear norm. ∎
 
-Any Z₁, Z₂ give a bound. Good ones are Gramians of the worst trajectories of the two Riccati equations, from
-the direction in which their solutions couple most.
+Any Z₁, Z₂ give a bound. The Gramians of the worst trajectories of the two Riccati equations give a good
+bound. These trajectories start in the direction in which the solutions of the equations couple most.
 """
 
 from dataclasses import dataclass
@@ -33,10 +33,10 @@ from lpvguard.engine.synthesis.statespace import StateSpace
 
 GRID, PEAKS = 100, 3
 ALLOWANCE = 1e-12
-"""Relative change of the entries, in balanced coordinates, that a certificate may need to be exact. It is far
-above rounding of the sums."""
+"""Largest relative change of the entries, in balanced coordinates, that makes a certificate exact. It is far
+above the rounding of the sums."""
 BELOW = (1e-7, 1e-6, 1e-5, 3e-5, 1e-4, 2e-4, 5e-4, 1e-3, 2e-3, 5e-3, 1e-2)
-"""Shares below the claimed optimum at which trajectories are looked for."""
+"""Trajectories are computed at these relative distances below the claimed optimum."""
 
 
 @dataclass(frozen=True)
@@ -54,10 +54,10 @@ class DualCertificate:
 
 
 def dual_bound(P: Plant, certificate: DualCertificate, allowance: float = ALLOWANCE) -> float:
-    """Return the level that no controller of ``P`` goes below, by the certificate; 0 where it proves none.
+    """Return the lower bound of γ that the certificate proves for every controller of ``P``, or 0.
 
-    The multipliers may violate their conditions by what a relative change ``allowance`` of the plant's
-    entries explains.
+    The multipliers may violate their conditions by the effect of a relative change ``allowance`` of the
+    plant's entries.
     """
     constant, traces, halves = 0.0, 0.0, []
     for Q, Z in ((P, certificate.first), (P.dual, certificate.second)):
@@ -73,7 +73,7 @@ def dual_bound(P: Plant, certificate: DualCertificate, allowance: float = ALLOWA
 
 
 def _one_side(P: Plant, Z: np.ndarray, allowance: float) -> tuple[np.ndarray | None, float, float]:
-    """Return a factor of Q, the constant part and the traces of one side; no factor where Q is not ≽ 0."""
+    """Return a factor of Q, c and t of one side. The factor is None where Q is not ≽ 0."""
     n, p1 = len(P.A), len(P.C1)
     p, z, w = Z[:n], Z[n : n + p1], Z[n + p1 :]
     outside = P.B2.T @ p + P.D12.T @ z
@@ -92,14 +92,18 @@ def _one_side(P: Plant, Z: np.ndarray, allowance: float) -> tuple[np.ndarray | N
 
 
 def dual_certificate(P: Plant, control: Side, filter_: Side, level: float) -> DualCertificate | None:
-    """Return the certificate of the worst trajectories at ``level``, a little below the optimum; None where
-    there are none. ``control`` and ``filter_`` are the Riccati equations of the plant and of its dual."""
+    """Return the certificate of the worst trajectories at ``level``, or None where there are no such
+    trajectories.
+
+    ``level`` is a little below the optimum. ``control`` and ``filter_`` are the Riccati equations of the
+    plant and of its dual.
+    """
     sides = [side for side in (_trajectories(control, level), _trajectories(filter_, level)) if side]
     if len(sides) < 2:
         return None
     starts: list[np.ndarray | None] = [None, None]
     lost = [k for k, side in enumerate(sides) if not side.definite]
-    if lost:  # below the level of one equation alone: the direction in which its cost is negative
+    if lost:  # this equation alone excludes the level: start in the direction of negative cost
         starts[lost[0]] = np.linalg.eigh(sides[lost[0]].X)[1][:, 0]
     else:
         roots = [_root(side.X) for side in sides]
@@ -117,7 +121,7 @@ def dual_certificate(P: Plant, control: Side, filter_: Side, level: float) -> Du
 
 @dataclass(frozen=True)
 class _Trajectories:
-    """x' = ``A`` x of the saddle point of one side, with z = ``C`` x, adjoint state ``X`` x."""
+    """Saddle-point trajectories x' = ``A`` x of one side, with z = ``C`` x and the adjoint state ``X`` x."""
 
     side: Side
     X: np.ndarray
@@ -126,7 +130,7 @@ class _Trajectories:
     definite: bool
 
     def gramian_factor(self, P: Plant, start: np.ndarray, level: float) -> np.ndarray | None:
-        """Return the factor of Z of the trajectory from ``start``, shape (n_r,)."""
+        """Return the factor of Z for the trajectory from ``start`` (n_r,)."""
         try:
             gramian = sl.solve_continuous_lyapunov(self.A, -np.outer(start, start))
         except np.linalg.LinAlgError:
@@ -175,11 +179,11 @@ def proved_level(P: Plant, control: Side, filter_: Side, gamma: float) -> float:
 
 
 def frequency_level(plant: StateSpace, n_control: int, n_measurement: int) -> float:
-    """Return a level that no controller goes below at single frequencies, rounding deducted.
+    """Return the lower bound of γ for every controller from single frequencies, with rounding deducted.
 
     At each frequency, the left kernel of M12 and the right kernel of M21 leave a part of M11. No matrix Q
-    makes σ̄(M11 + M12 Q M21) less than this part (Parrott 1978). The largest of a grid about the poles is
-    improved.
+    makes σ̄(M11 + M12 Q M21) less than the norm of this part (Parrott 1978). A local search improves the
+    largest values of a grid around the poles.
     """
     poles = plant.poles()
     rates = np.abs(np.log(poles[poles != 0]) / plant.dt) if plant.dt else np.abs(poles)
@@ -204,7 +208,7 @@ def frequency_level(plant: StateSpace, n_control: int, n_measurement: int) -> fl
 
 
 def _level_at(plant: StateSpace, n_control: int, n_measurement: int, omega: float) -> float:
-    """Return the level that no controller goes below at ``omega`` [rad/s], 0 where rounding leaves none."""
+    """Return the lower bound of γ for every controller at ``omega`` [rad/s], or 0 where rounding hides it."""
     M = plant.response([omega])[0]
     moved = response_rounding(plant, omega)
     p, m = len(M) - n_measurement, M.shape[1] - n_control
@@ -218,7 +222,8 @@ def _level_at(plant: StateSpace, n_control: int, n_measurement: int, omega: floa
 
 
 def _uncancelled(known: np.ndarray, free: np.ndarray, rounding: float, moved: float) -> float:
-    """Return σ̄ of what no Q cancels of ``known`` through ``free``, less what rounding of both may add."""
+    """Return σ̄ of the part of ``known`` that no Q cancels through ``free``, less the possible rounding of
+    both."""
     scale = np.linalg.norm(free, axis=0)
     if free.shape[1] >= len(free) or not scale.all():
         return 0.0

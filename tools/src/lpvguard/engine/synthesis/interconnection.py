@@ -1,18 +1,19 @@
-"""Fig. 1: generalised plant of the tracking problem, with any of the four uncertainty structures.
+"""Generalised plant of the tracking problem in Fig. 1, with one of four uncertainty structures.
 
-The nominal vehicle takes n_u inputs u to n_y outputs y. One output, the controlled one, follows a command. In
-the paper's vehicle u is a brake pressure difference [bar], y the yaw rate r [rad/s], which is controlled, and
-the road-wheel angle δ [rad]:
+The nominal vehicle has n_u inputs u and n_y outputs y. One output, the controlled one, follows a command. In
+the paper u is a brake pressure difference [bar]. The outputs y are the yaw rate r [rad/s], which is
+controlled, and the road-wheel angle δ [rad]:
 
     ũ = u + W_Δi ξ_i            x' = A x + B ũ + W_Δs ξ_s         y = C x
     y_m,j = y_j + W_w,j w_j                                        (disturbances)
     e_t = W_R W_C r_c − y_m,c   z = [W_t e_t; W_u u]              (performance, c: the controlled output)
     m = [W_C r_c, y_m,j + W_n,j n_j]                              (controller input)
 
-Inputs are [Δ outputs, w, n, r_c, u], outputs [Δ inputs, z_t, z_u, m], with η_i = u and η_s = x where present.
-W_u weights u, not ũ, input by input. Every external signal is normalised. Δ_i and Δ_s are full blocks.
+Inputs are [Δ outputs, w, n, r_c, u]. Outputs are [Δ inputs, z_t, z_u, m], with η_i = u and η_s = x where
+present. W_u weights each input of u, not of ũ. Every external signal is normalised. Δ_i and Δ_s are full
+blocks.
 
-K_o has one Δ an output in place of Δ_i, as class S1_diagonal of the identification (THEORY 4.1):
+K_o has one Δ for each output in place of Δ_i, like class S1_diagonal of the identification (THEORY 4.1):
 
     y_m,j = y_j + W_Δo,j ξ_j + W_w,j w_j,  η_j = y_j
 """
@@ -31,14 +32,15 @@ from lpvguard.engine.synthesis.statespace import StateSpace, append, balanced, t
 STRUCTURES = ("K_inf", "K_i", "K_is")
 """The paper's uncertainty structures: none, input-multiplicative, input-multiplicative and state."""
 OUTPUTWISE = "K_o"
-"""One Δ an output, output-multiplicative."""
+"""Uncertainty structure with one output-multiplicative Δ for each output."""
 PAPER_WEIGHTS = (
     *("W_R", "W_C", "W_t", "W_u", "W_nr", "W_ndelta", "W_wr", "W_wdelta"),
     *("W_delta_i", "W_delta_s"),
 )
-"""The ten weights of the paper: yaw rate r and road-wheel angle delta have noise and disturbance each."""
+"""The ten weights of the paper. Yaw rate r and road-wheel angle delta each have a noise and a disturbance."""
 Terms = dict[str | tuple[str, int], int]
-"""A sum: sign of each external input, by name, and of each part's output, as (part, output)."""
+"""A sum of signals: the sign of each external input (key: its name) and each part's output (key: part,
+output)."""
 
 
 @dataclass(frozen=True)
@@ -52,7 +54,7 @@ class PlantWeights:
     W_n, W_w : tuple (n_y,) of StateSpace
     W_delta_i, W_delta_s : StateSpace
     W_delta_o : tuple (n_y,) of StateSpace, for K_o only; may be empty
-    outputs : tuple (n_y,) of str, names of the outputs in the plant's signals
+    outputs : tuple (n_y,) of str, names of the outputs
     controlled : int, index of the controlled output
     """
 
@@ -86,7 +88,7 @@ class PlantWeights:
 
     @classmethod
     def of_paper(cls, weights: Mapping[str, StateSpace]) -> PlantWeights:
-        """Weights of the paper's vehicle, from their names of PAPER_WEIGHTS."""
+        """Weights of the paper's vehicle, from a mapping with the names PAPER_WEIGHTS."""
         R, C, t, u, n_r, n_delta, w_r, w_delta, delta_i, delta_s = (weights[name] for name in PAPER_WEIGHTS)
         return cls(R, C, t, (u,), (n_r, n_delta), (w_r, w_delta), delta_i, delta_s)
 
@@ -108,7 +110,7 @@ class GeneralisedPlant:
     Attributes
     ----------
     system : StateSpace, with named signals
-    blocks : tuple of Block, of Δ
+    blocks : tuple of Block, blocks of Δ
     n_delta_out, n_delta_in : int, outputs and inputs of Δ
     n_control, n_measurement : int
     """
@@ -129,7 +131,7 @@ class GeneralisedPlant:
 
 
 def rational(num, den) -> StateSpace:
-    """Realise num(s)/den(s), proper, by a balanced companion form.
+    """Realise a proper num(s)/den(s) in a balanced companion form.
 
     Parameters
     ----------
@@ -205,7 +207,7 @@ def weight_from_table(entry: dict, **gains: float) -> StateSpace:
     Parameters
     ----------
     entry : dict
-    **gains : float, values of gains that are given as a name
+    **gains : float, values of the gains that the case file gives by name
 
     Returns
     -------
@@ -229,8 +231,8 @@ def generalised_plant(
 ) -> GeneralisedPlant:
     """Build Fig. 1 around the vehicle x' = A x + B u, y = C x.
 
-    The plant's first n states are the vehicle's. In discrete time u and ξ_s are held (ξ_s enters through
-    ∫exp(As)ds), and the weights are mapped by Tustin; signals then are sequences.
+    The plant's first n states are the vehicle's. In discrete time a zero-order hold acts on u and ξ_s (ξ_s
+    enters through ∫exp(As)ds), and Tustin's method maps the weights.
 
     Parameters
     ----------
@@ -238,12 +240,12 @@ def generalised_plant(
     B : array_like (n, n_u), continuous
     weights : PlantWeights
     structure : str, K_inf, K_i, K_is or K_o
-    dt : float, s, > 0: discrete time, default 0.0
+    dt : float, s, 0 for continuous time, default 0.0
     delay : float, samples from u to the vehicle, for computation and bus, default 0
         Δ_i and W_u read u at once. A fraction of a sample lies between Δ_i and the vehicle.
     probes : bool, add outputs after z, default False
-        They are the vehicle's state (n), its input (n_u) and with state uncertainty input on every state (n).
-        Where the delay has a fraction, n_u inputs of the sample before belong to the state.
+        They are the vehicle's state (n), its input (n_u) and, with state uncertainty, the input on every
+        state (n). Where the delay has a fraction of a sample, the state also holds the n_u previous inputs.
     C : array_like (n_y, n), by default the first n_y states
 
     Returns
@@ -309,7 +311,7 @@ def generalised_plant(
 
 
 def _require_posed(weights: PlantWeights, structure: str, dt: float, delay: float) -> None:
-    """SynthesisError for an unknown structure, a delay that does not fit or missing weights of K_o."""
+    """Raise SynthesisError for an unknown structure, a wrong delay, or missing weights of K_o."""
     if delay < 0 or (delay and not dt):
         raise SynthesisError("interconnection", "delay", f"{delay} samples at dt {dt:g}", "≥ 0, and dt > 0")
     if structure not in (*STRUCTURES, OUTPUTWISE):
@@ -323,7 +325,7 @@ def _require_posed(weights: PlantWeights, structure: str, dt: float, delay: floa
 
 
 def numbered(name: str, count: int) -> list[str]:
-    """Names of ``count`` signals: ``name`` of one, ``name``1, ``name``2, .. of several."""
+    """Names of ``count`` signals: ``name`` for one, and ``name``1, ``name``2, .. for several."""
     return [name] if count == 1 else [f"{name}{i + 1}" for i in range(count)]
 
 
@@ -339,8 +341,8 @@ def _parts(
 ) -> tuple[dict[str, StateSpace], int]:
     """The systems of Fig. 1 by name, sampled where ``dt`` > 0, and the number of the vehicle's states.
 
-    The vehicle goes from [ũ; an input on every state] to [y; x]. W_delta_s acts on every state. The weights
-    of Δ that the structure does not have are left out, as the delay is where it is 0.
+    The vehicle has the inputs [ũ; an input on every state] and the outputs [y; x]. W_delta_s acts on every
+    state. A weight of a Δ that the structure lacks is left out, and so is a delay of 0.
     """
     n, n_u = B.shape
     channels = {
@@ -384,10 +386,10 @@ def delay_line(samples: int, dt: float) -> StateSpace:
 
 
 def held_with_delay(G: StateSpace, n_u: int, dt: float, fraction: float) -> StateSpace:
-    """Sample a system with held inputs, the first ``n_u`` of which act a fraction of a sample late.
+    """Sample a system with held inputs. Its first ``n_u`` inputs act a fraction of a sample late.
 
-    Where ``fraction`` is not 0, these inputs of the sample before become states behind those of G, and
-    outputs behind its outputs.
+    Where ``fraction`` is not 0, the previous values of these inputs are appended to the states and to the
+    outputs of G.
 
     Parameters
     ----------
@@ -423,7 +425,7 @@ def _join(
     measured: list[Terms],
     n_state: int,
 ) -> None:
-    """The connections of Fig. 1 between its parts; ``u_tilde`` and ``measured`` are ũ and y_m as sums."""
+    """Connect the parts of Fig. 1. ``u_tilde`` and ``measured`` are ũ and y_m as sums."""
     n_u = len(u)
     for i in range(n_u):
         if "delay" in net.first_in:
@@ -446,10 +448,10 @@ def _join(
 
 
 class _Network:
-    """Systems joined by sums of each other's outputs and of external signals."""
+    """Systems whose inputs are sums of the systems' outputs and of external signals."""
 
     def __init__(self, parts: dict[str, StateSpace], external: list[str]):
-        """``parts`` by name, side by side; ``external``: names of the external inputs, in order."""
+        """``parts`` are the systems by name. ``external`` are the names of the external inputs, in order."""
         self.joined = append(*parts.values())
         self.first_in: dict[str, int] = {}
         self.first_out: dict[str, int] = {}
@@ -461,12 +463,12 @@ class _Network:
         self.inner, self.outer = np.zeros((i, o)), np.zeros((i, len(external)))
 
     def feed(self, name: str, port: int, terms: Terms) -> None:
-        """Input ``port`` of part ``name`` is the sum of ``terms``."""
+        """Connect the sum of ``terms`` to input ``port`` of part ``name``."""
         inner, outer = self._row(terms)
         self.inner[self.first_in[name] + port], self.outer[self.first_in[name] + port] = inner, outer
 
     def _row(self, terms: Terms) -> tuple[np.ndarray, np.ndarray]:
-        """Row of ``terms`` over the parts' outputs and over the external inputs."""
+        """Coefficients of ``terms``: over the outputs of the parts, and over the external inputs."""
         inner, outer = np.zeros(self.joined.n_outputs), np.zeros(len(self.names))
         for key, sign in terms.items():
             if isinstance(key, str):
@@ -476,7 +478,7 @@ class _Network:
         return inner, outer
 
     def close(self, rows: dict[str, Terms]) -> StateSpace:
-        """The system from the external inputs to the named ``rows``; Fig. 1 has no algebraic loop."""
+        """System from the external inputs to the named ``rows``. Fig. 1 has no algebraic loop."""
         G = self.joined
         pick, direct = (np.array([self._row(t)[k] for t in rows.values()]) for k in (0, 1))
         # part inputs v = inner (C x + D v) + outer w

@@ -1,11 +1,12 @@
-"""Storage functions that are linear between knots, and D's gain, for the search in least_level.py.
+"""Search for a storage function that is linear between knots, and for D's gain, for least_level.py.
 
 P(v) has a separate value at every knot. An inequality at one speed then concerns the two knots around it.
-The Hessian is therefore block tridiagonal. A step costs little more than one for a few functions of speed.
+The Hessian is therefore block tridiagonal, and a Newton step is cheap.
 
-The unit of F decides how far Newton's method has to go. F(P) at rate 0 is positive for the P of the previous
-rate. At f times that rate ``F(P) + (f - 1) F_0(P) > 0`` holds. From there a doubling takes a few steps. Steps
-to the centre follow. Without them P would have hardly any direction left to the next rate.
+The search increases the rate step by step. The P of the previous rate makes F(P) at rate 0 positive. At f
+times that rate ``F(P) + (f - 1) F_0(P) > 0`` holds, where F_0 is F at rate 0. F_0(P) is therefore the unit
+of F, and a doubling of the rate takes a few Newton steps. Further steps move P to the centre of the feasible
+points. From the border the next search would hardly advance.
 """
 
 from __future__ import annotations
@@ -25,28 +26,28 @@ from lpvguard.engine.synthesis.statespace import StateSpace
 from lpvguard.engine.synthesis.storage_grid import parts_in
 
 FIRST_WEIGHT, NEXT_FACTOR = 10.0, 5.0
-"""Weight of F's deficit over the number of its rows: at first, and its factor once near the centre."""
+"""First weight of the deficit t, per row of F, and the factor of its increase near the centre."""
 STEPS = 60
-"""Steps of Newton's method after which a rate counts as not found."""
+"""Largest number of Newton steps for one rate."""
 OUT_OF_REACH = 2.0
-"""Deficit of F near the centre, over the weight, beyond which more weight does not help.
+"""The search fails if the deficit t near the centre exceeds this number divided by the weight.
 
-At the centre the least lies within one over the weight.
+At the centre the least possible t lies within 1 / weight of t.
 """
 NEAR, CENTRING_STEPS = 200.0, 4
-"""Decrement at which P is near enough to the centre, and the most steps to it once F > 0."""
+"""Below this Newton decrement P is near the centre; largest number of steps to the centre once F > 0."""
 ADDITIONS = (1e-13, 1e-11, 1e-9, 1e-7)
-"""Tried additions to the Hessian's unit diagonal: what rounding asks for."""
+"""Additions to the unit diagonal of the Hessian, tried in this order, against rounding."""
 HALVES = 2
-"""Threads that share the Hessian, and chains of blocks into which its factor is cut: the same bits on any
-number of cores."""
+"""Number of threads for the Hessian, and of chains of blocks in its factor. The result has the same bits on
+any number of cores."""
 SOLVED_AT_ONCE = 200
-"""Rows of a triangular factor that are solved in one piece."""
+"""Largest number of rows of a triangular factor that one call solves."""
 
 
 class KnotBarrier(Barrier):
-    """A barrier of which every inequality concerns two neighbouring terms: ``segment`` (count,), the first of
-    them."""
+    """Barrier in which every inequality concerns two neighbouring terms. ``segment`` (count,) is the first
+    one."""
 
     def __init__(
         self,
@@ -59,7 +60,7 @@ class KnotBarrier(Barrier):
         self.segment = segment
 
     def solved(self, S: np.ndarray, right: np.ndarray) -> np.ndarray:
-        """Hessian^-1 right, at S_i = F_i^-1; right (size, k)."""
+        """Solution X of Hessian X = ``right`` (size, k), with the Hessian at S_i = F_i^-1."""
         diagonal, beside = self._blocks(S)
         scale = [1 / np.sqrt(np.diagonal(block)) for block in diagonal]
         for block, one in zip(diagonal, scale, strict=True):
@@ -70,8 +71,8 @@ class KnotBarrier(Barrier):
         return solved_blocks(diagonal, beside, right * flat) * flat
 
     def _blocks(self, S: np.ndarray) -> tuple[list[np.ndarray], list[np.ndarray]]:
-        """The Hessian's blocks: those on the diagonal, of which the lower triangles count, and those below
-        it."""
+        """Blocks of the Hessian: on the diagonal (only the lower triangles are valid), and below the
+        diagonal."""
         size, terms = len(self.twice), self.next.shape[1]
         diagonal, beside = [np.zeros((size, size))], []
 
@@ -91,8 +92,11 @@ class KnotBarrier(Barrier):
 
 
 def solved_blocks(diagonal: list[np.ndarray], beside: list[np.ndarray], right: np.ndarray) -> np.ndarray:
-    """H^-1 right, right (size, k); H positive definite and block tridiagonal with unit diagonal: lower
-    triangles of ``diagonal``, and ``beside`` below them. LinAlgError where no addition is enough."""
+    """Solution X of H X = ``right`` (size, k).
+
+    H is positive definite and block tridiagonal with a unit diagonal. Its blocks are the lower triangles of
+    ``diagonal``, and ``beside`` below the diagonal. Raises LinAlgError where no addition is enough.
+    """
     middle = len(diagonal) // 2
     halves = [
         (diagonal[:middle], beside[:middle]),
@@ -112,12 +116,12 @@ def solved_blocks(diagonal: list[np.ndarray], beside: list[np.ndarray], right: n
 
 
 Chain = tuple[list[np.ndarray], list[np.ndarray]]
-"""Blocks on the diagonal, and each one's beside the next, the last one's beside the middle block."""
+"""Blocks on the diagonal, and the blocks that couple each of them to the next one, at last to the middle
+block."""
 
 
 def _lower(block: np.ndarray, beside: list[np.ndarray], extra: float) -> np.ndarray:
-    """Cholesky factor of ``block`` with the diagonal 1 + extra, less the share of its neighbours'
-    ``beside``."""
+    """Cholesky factor of ``block`` with the diagonal 1 + extra, less X Xᵀ for each X of ``beside``."""
     rest = block.copy()
     np.fill_diagonal(rest, 1 + extra)
     for one in beside:
@@ -126,7 +130,7 @@ def _lower(block: np.ndarray, beside: list[np.ndarray], extra: float) -> np.ndar
 
 
 def _factored(chain: Chain, extra: float) -> Chain:
-    """The factor of a half, from the outermost block to the middle."""
+    """Factor of one chain, from the outermost block to the middle."""
     factors: list[np.ndarray] = []
     below: list[np.ndarray] = []
     for block, other in zip(*chain, strict=True):
@@ -136,8 +140,10 @@ def _factored(chain: Chain, extra: float) -> Chain:
 
 
 def _divided(L: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """L^-1 right, L lower triangular. By halves: NumPy's products let the other thread run, SciPy's solver
-    does not."""
+    """L^-1 right for a lower triangular L.
+
+    L is split into halves, because NumPy's products let the other thread run and SciPy's solver does not.
+    """
     half = len(L) // 2
     if len(L) <= SOLVED_AT_ONCE:
         return sl.solve_triangular(L, right, lower=True, check_finite=False)
@@ -148,8 +154,11 @@ def _divided(L: np.ndarray, right: np.ndarray) -> np.ndarray:
 def _substituted(
     chains: list[Chain], last: np.ndarray, right: list[list[np.ndarray]], middle: np.ndarray
 ) -> np.ndarray:
-    """The solution by the halves' factors and the middle block's, inwards and back; ``right``: of each half,
-    from the outermost block."""
+    """Solution by the factors of both chains and of the middle block.
+
+    ``right`` holds the right sides of each chain, from the outermost block. ``middle`` is that of the middle
+    block.
+    """
     inwards = []
     for (factors, below), blocks in zip(chains, right, strict=True):
         x: list[np.ndarray] = []
@@ -170,8 +179,7 @@ def _substituted(
 
 @dataclass(frozen=True)
 class Point:
-    """P (K, n, n) at the knots; excess: the square of D's gain over that of the loop as it is given, less
-    1."""
+    """P (K, n, n) at the knots. ``excess`` is the square of D's gain, relative to the given loop, less 1."""
 
     P: np.ndarray
     excess: float = 0.0
@@ -182,7 +190,7 @@ class KnotGrid:
     """Inequalities at ``speeds`` (k,) [m/s] for P between ``knots`` (K,).
 
     ``loop_at(v)`` gives the loop at a speed, sampled at Ts [s]. ``basis`` (n, n) are the coordinates.
-    ``delta`` says how many of the first outputs, and how many of the first inputs, belong to Delta. ``cost``
+    ``delta`` holds two numbers: of the first outputs and of the first inputs that belong to Delta. ``cost``
     (n, n) is the cost of P in these coordinates.
     """
 
@@ -202,14 +210,15 @@ class KnotGrid:
     def _rows(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Index of each inequality's speed, segment of P's slope, and sign of the slope.
 
-        A knot has the segments on either side, and a speed rises and falls.
+        A speed at a knot belongs to the segments on both sides. Each speed has two inequalities, for a rising
+        and a falling speed.
         """
         inside = (self.knots[:-1] <= self.speeds[:, None]) & (self.speeds[:, None] <= self.knots[1:])
         speed, segment = np.nonzero(inside)
         return np.repeat(speed, 2), np.repeat(segment, 2), np.tile([1.0, -1.0], len(speed))
 
     def barrier(self, rate: float) -> KnotBarrier:
-        """F at every speed and for every slope beside it, for speeds that rise and that fall by ``rate``
+        """Barrier of F at every speed, in each of its segments, for speeds that rise or fall by ``rate``
         [m/s^2]."""
         speed, segment, sign = self._rows
         width = np.diff(self.knots)[segment]
@@ -232,8 +241,7 @@ class KnotGrid:
         return self.barrier(rate).F(point.P) + point.excess * self.gain_direction()
 
     def violated(self, point: Point, rate: float, speeds: np.ndarray) -> np.ndarray:
-        """Worst of ``speeds`` (m,) in every segment in which F is not positive, without speeds of the
-        grid."""
+        """Worst of ``speeds`` (m,) in each segment where F is not positive, without speeds of the grid."""
         others = np.setdiff1d(speeds, self.speeds)
         if not len(others):
             return others
@@ -251,16 +259,18 @@ class KnotGrid:
         return replace(self, speeds=np.union1d(self.speeds, speeds))
 
     def bent_at(self, point: Point, knots: np.ndarray) -> tuple[KnotGrid, Point]:
-        """The same P between ``knots`` (m,), which hold the grid's own."""
+        """The same P with more knots: ``knots`` (m,), which include those of the grid."""
         k = np.maximum(np.searchsorted(self.knots, knots) - 1, 0)
         share = (knots - self.knots[k]) / np.diff(self.knots)[k]
         P = np.tensordot(_between(k, share, len(self.knots)), point.P, 1)
         return replace(self, knots=knots), replace(point, P=P)
 
     def evened(self, point: Point) -> tuple[KnotGrid, Point]:
-        """The grid in coordinates in which the mean of P is diagonal and its dissipation even.
+        """The grid in coordinates in which the mean of P is diagonal and the mean of F at rate 0 is the
+        identity.
 
-        The Hessian's rounding is least in them. Without dissipation the coordinates stay.
+        The rounding of the Hessian is least in them. Where the mean of F is not positive, the coordinates
+        stay.
         """
         n = len(self.basis)
         F = self.F(point, 0.0).mean(axis=0)[:n, :n]
@@ -273,7 +283,7 @@ class KnotGrid:
 
 
 def _between(segment: np.ndarray, share: np.ndarray, knots: int) -> np.ndarray:
-    """Weights (count, knots) of the terms at ``share`` of the way through ``segment``."""
+    """Weights (count, knots) of linear interpolation at the fraction ``share`` of ``segment``."""
     out = np.zeros((len(segment), knots))
     out[np.arange(len(out)), segment] = 1 - share
     out[np.arange(len(out)), segment + 1] = share
@@ -281,8 +291,10 @@ def _between(segment: np.ndarray, share: np.ndarray, knots: int) -> np.ndarray:
 
 
 def found_at(grid: KnotGrid, start: Point, rate: float, unit: np.ndarray) -> Point | None:
-    """A point with F > 0 for ``rate`` [m/s^2], near the centre of all such points; None where none is found.
-    ``unit`` (N, N) > 0: what F is measured in where it is positive nowhere at ``start`` at rate 0."""
+    """A point with F > 0 for ``rate`` [m/s^2], near the centre of all such points, or None.
+
+    ``unit`` (N, N) > 0 is the unit of F where F is positive nowhere at ``start`` and rate 0.
+    """
     barrier = grid.barrier(rate)
     gain = grid.gain_direction()[None] if grid.delta[0] else np.zeros((0, *barrier.constant.shape))
     price = barrier.price(grid.cost)
@@ -291,9 +303,11 @@ def found_at(grid: KnotGrid, start: Point, rate: float, unit: np.ndarray) -> Poi
 
 
 def _units(F: np.ndarray, segment: np.ndarray, unit: np.ndarray) -> np.ndarray:
-    """F (count, N, N) where it is positive; elsewhere the mean of those of the nearest segment that has any,
-    or ``unit`` where there is none. Their scale is what F can have there: in another one hardly anything
-    would be lacking, and a step would see nothing."""
+    """Unit of each F_i: F_i (N, N) itself where it is positive.
+
+    Elsewhere it is the mean of the positive F_i in the nearest segment that has any, or ``unit`` where no F_i
+    is positive. A unit of another scale would hide the deficit of F_i from Newton's method.
+    """
     positive = np.linalg.eigvalsh(F)[:, 0] > 0
     if not positive.any():
         return np.broadcast_to(unit, F.shape)
@@ -307,7 +321,8 @@ def _units(F: np.ndarray, segment: np.ndarray, unit: np.ndarray) -> np.ndarray:
 def _feasible(
     barrier: KnotBarrier, start: Point, units: np.ndarray, gain: np.ndarray, price: np.ndarray
 ) -> Point | None:
-    """Newton's method on weight t - sum_i log det(F_i + t units_i) until t < 0; None where it stays above."""
+    """Newton's method on weight t - sum_i log det(F_i + t units_i) until t < 0. None where t stays
+    positive."""
     P, size = start.P, len(units) * units.shape[-1]
     L = np.linalg.inv(np.linalg.cholesky(units))
     excess = np.full(len(gain), start.excess)
@@ -334,7 +349,7 @@ def _feasible(
 
 
 def _centred(barrier: KnotBarrier, point: Point, gain: np.ndarray, price: np.ndarray) -> Point:
-    """Nearer to the centre, by a few steps."""
+    """A point nearer to the centre, after a few Newton steps."""
     P, y = point.P, np.full(len(gain), point.excess)
     for _ in range(CENTRING_STEPS):
         try:

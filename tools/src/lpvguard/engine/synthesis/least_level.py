@@ -5,17 +5,17 @@ outputs and w. It keeps the level beta at a rate when a gain g and P(v) > 0 exis
 
     x' P(v) x - x+' P(v+) x+ + g^2 (|xi|^2 - |eta|^2) + |w|^2 - |z|^2 / beta^2 > 0
 
-for all v in the range and |v+ - v| <= rate Ts. With every LTI Delta within the bound, the gain from w to z,
-from rest, is then below beta. The level beta = 1 is robust performance. Any other beta is robust performance
-with z weighted by 1 / beta. The gain g is that of the scaling D, whose shape is given (``tuned``: the best at
-frozen speeds).
+for all v in the range and |v+ - v| <= rate Ts. The gain from w to z, from rest, is then below beta for every
+linear time-invariant Delta within the bound. The level beta = 1 is robust performance. Any other beta is
+robust performance with z weighted by 1 / beta. g is the gain of the scaling D. The shape of D is given;
+``tuned`` finds the best shape at frozen speeds.
 
-``find_level`` searches a P that is linear between knots, and g, by the barrier method (knot_search.py). It
-also demands the inequality at speeds between the knots, because knots alone would not imply it elsewhere. A
-moving speed cannot be reached from the frozen solutions: their P follows the speed wherever little is lost.
-The search therefore begins at rate 0 with P0 + v P1 + P2 / v near them. The rate doubles step by step, each
-from the previous P. P also has a cost, ``COST``. Where a proof fails, its speeds are added. ``prove`` proves
-the claim for all speeds.
+``find_level`` searches for g and for a P that is linear between knots, by the barrier method
+(knot_search.py). It requires the inequality also at speeds between the knots, because the knots alone would
+not imply it there. The search cannot start from the solutions at frozen speeds, whose P changes too quickly
+with the speed. It therefore begins at rate 0 with a smooth P0 + v P1 + P2 / v near these solutions. The rate
+then doubles step by step, and each step starts from the previous P. P also has a cost, ``COST``. Where a
+proof fails, its speeds are added to the grid. ``prove`` proves the level for all speeds.
 """
 
 import itertools
@@ -34,44 +34,44 @@ from lpvguard.engine.synthesis.statespace import StateSpace
 from lpvguard.engine.synthesis.storage_grid import StorageGrid, refined, terms, unmoved
 
 LEVELS = (1.0, 2.5, 5.0, 10.0)
-"""Levels tried, the wanted one first, until one is proved."""
+"""Levels in the order of trials, until one is proved."""
 ROOMY = 0.9
-"""Largest frozen gain from which a moving speed is searched for."""
+"""The search at moving speeds starts only if the gain at frozen speeds is at most this number."""
 GAIN_SPEEDS = 4
-"""Nodes, ends included, at which D's gain is chosen."""
+"""Number of nodes, ends included, at which D's gain is chosen."""
 RATE_STEPS = 6
-"""Rates up to the wanted one, each twice the one before, after rate 0."""
+"""Number of rates after rate 0. Each is twice the previous one, and the last is the wanted rate."""
 COST = 1e-4
-"""Cost of P in the search, over the frozen solutions' mean.
+"""Cost of P in the search, in units of the inverse mean of the frozen solutions.
 
-It acts against log det F from about 1e4 times that mean on. Gains of P beyond are lost between the speeds.
+It limits P to about 1e4 times this mean. A larger P would improve the inequalities only at the grid's speeds.
 """
 KNOT_PARTS, SPEED_PARTS = 2, 4
-"""Segments of P in every interval between nodes, and parts of a segment between the speeds.
+"""Number of segments of P between two nodes, and of intervals between speeds in a segment.
 
-With knots at the nodes alone there is no P for the truck's rate.
+With knots only at the nodes there is no P for the truck's rate.
 """
 COARSE_SHARE = 0.25
-"""Share of the rate up to which the nodes are enough knots; the cost of a step grows with the knots."""
+"""Up to this share of the rate the nodes alone are the knots. Fewer knots make a step cheaper."""
 GRID_SHARE = 0.99
-"""Share of the rate at the grid's speeds that is to be proved between them."""
+"""The proof between the grid's speeds is for this share of the rate of the search."""
 ROUNDS = 6
-"""Proofs tried; after each one that fails more speeds are asked."""
+"""Largest number of trial proofs. After a failed proof the grid gets more speeds."""
 TUNING_STEPS = (0.3, 0.04)
-"""First and last step of the search for D's shape, in the logarithms of its parameters."""
+"""First and last step of the search for D's shape, in logarithms of its parameters."""
 SLOWEST, TUNING_POINTS = 1e-4, 220
-"""Lowest frequency in rad/s and number of frequencies of that search, besides zero."""
+"""Lowest frequency above zero in rad/s, and number of frequencies, in the search for D's shape."""
 FARTHEST_GAIN = 2.0
-"""Largest |logarithm| of D's gain, over the synthesis's own, that the search begins with."""
+"""Largest |logarithm| of the first gain of D, relative to the synthesis."""
 
 
 def weighed(family: Family, delta: tuple[int, int], level: float, gain: float) -> Family:
-    """Weight a family for a level and a gain of D.
+    """Weight a family of loops for a level and a gain of D.
 
     Parameters
     ----------
     family : Family
-    delta : tuple[int, int], numbers of rows eta and columns xi, which stand first
+    delta : tuple[int, int], number of rows eta and of columns xi, which come first
     level : float, divides the rows z
     gain : float, multiplies the rows eta and divides the columns xi
 
@@ -96,17 +96,17 @@ def weighed(family: Family, delta: tuple[int, int], level: float, gain: float) -
 def tuned(
     loops: list[StateSpace], delta: tuple[int, int], level: float, starts: Sequence[Scaling]
 ) -> Scaling:
-    """Search the D with the least frozen gain over several loops.
+    """Search for the D with the least gain over several loops at frozen speeds.
 
-    A pattern search begins at the best start. Unless every block of Delta is one row eta and one column xi, D
-    is the first start.
+    A pattern search begins at the best start. It runs only if every block of Delta is one row eta and one
+    column xi. Otherwise the result is the first start.
 
     Parameters
     ----------
     loops : list of StateSpace, discrete and unscaled
     delta : tuple[int, int], see `weighed`
     level : float
-    starts : Sequence[Scaling], of one degree
+    starts : Sequence[Scaling], all of the same degree
 
     Returns
     -------
@@ -147,11 +147,11 @@ def find_level(
     rate: float,
     progress: Callable[[str], None] = lambda _: None,
 ) -> LpvCertificate | None:
-    """Search a storage function at the first of ``LEVELS`` with a proof.
+    """Search for a storage function at the first of ``LEVELS`` that can be proved.
 
     Parameters
     ----------
-    family_at : Callable, level -> loop under its D
+    family_at : Callable, returns the family of loops, scaled by D, for a level
     delta : tuple[int, int], see `weighed`
     rate : float, m/s^2, largest |dv/dt|
     progress : Callable, reports progress
@@ -178,7 +178,7 @@ def find_level(
 def _at_level(
     family: Family, delta: tuple[int, int], rate: float, level: float, progress: Callable[[str], None]
 ) -> LpvCertificate | None:
-    """The storage function of one level; None where the frozen gain leaves no room, or none is found."""
+    """Certificate at one level. None where the gain at frozen speeds is too large, or the search fails."""
     gain, frozen_gain = _least_gain(family, delta, level)
     if frozen_gain > ROOMY:
         return None
@@ -213,7 +213,7 @@ def _at_level(
         if not len(joined):
             return None
         grid = grid.asked_at(joined)
-        progress(f"storage function asked at {len(grid.speeds)} speeds")
+        progress(f"storage function at {len(grid.speeds)} speeds")
         candidate = found_at(grid, point, on_grid, unit)
         if candidate is None:
             return None
@@ -222,7 +222,7 @@ def _at_level(
 
 
 def _least_gain(family: Family, delta: tuple[int, int], level: float) -> tuple[float, float]:
-    """D's gain with the least frozen gain of the loop at some of the nodes, and that."""
+    """Gain of D with the least loop gain at some of the nodes (frozen speeds), and this loop gain."""
     some = family.nodes[evenly(len(family.nodes), GAIN_SPEEDS)]
 
     def worst(log_gain: float) -> float:

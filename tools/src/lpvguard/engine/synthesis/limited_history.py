@@ -1,10 +1,9 @@
-"""The loop of saturation.py with its limit, and the inputs of given size that drive it furthest.
+"""Simulation of the loop of saturation.py with its limit, and search for the worst input of a given size.
 
-Furthest means the largest wanted demand, its largest step, or the largest output.
-
-For a given input each sample is either within the limit or beyond it. The run's derivative by the input is
-therefore a linear loop that varies, and its adjoint costs one run. Repeating w = size · gradient / ‖gradient‖
-climbs. The result was simulated, so it is reached.
+An input is worst if it causes the largest wanted demand, its largest step, or the largest output. For one
+input each sample is either within the limit or beyond it. The derivative of a run by the input is therefore a
+linear time-varying loop, and its adjoint costs one run. The iteration w = size · gradient / ‖gradient‖
+increases the objective. The result is simulated, so it is a lower bound of the worst case.
 """
 
 from dataclasses import dataclass
@@ -14,9 +13,9 @@ import numpy as np
 from lpvguard.engine.synthesis.statespace import StateSpace
 
 CLIMBS = 12
-"""Repetitions at most."""
+"""Largest number of iterations."""
 AIMS = ("demand", "step", "gain")
-"""Objectives: the last wanted demand, its last step, and the output's norm over all samples."""
+"""Objectives: the last wanted demand, its last step, and the norm of the output over all samples."""
 
 
 @dataclass(frozen=True)
@@ -25,8 +24,8 @@ class LimitedHistory:
 
     Attributes
     ----------
-    loop : StateSpace, from [p; w] to [u; z], sector's middle closed (limited_loop, kappa inf, Δ closed)
-        p = 2 q − u, with q the excess of u over its limit.
+    loop : StateSpace, from [p; w] to [u; z], as ``limited_loop`` makes it with kappa inf and a closed Δ
+        p = 2 q − u, where q is the excess of u over its limit.
     u_max : float, limit of u [input unit]
     """
 
@@ -34,7 +33,7 @@ class LimitedHistory:
     u_max: float
 
     def run(self, w: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Wanted demand u (T,) and z (T, p) of w (T, m), from rest."""
+        """Wanted demand u (T,) and output z (T, p) for the input w (T, m), from rest."""
         G = self.loop
         x, u, z = np.zeros(G.order), np.empty(len(w)), np.empty((len(w), G.n_outputs - 1))
         for k, now in enumerate(w):
@@ -45,8 +44,10 @@ class LimitedHistory:
         return u, z
 
     def gradient(self, u: np.ndarray, by_u: np.ndarray, by_z: np.ndarray) -> np.ndarray:
-        """Derivative (T, m) by the input along the run with the demand u (T,). ``by_u`` (T,), ``by_z`` (T,
-        p): derivatives by demand and output."""
+        """Derivative (T, m) of an objective by the input, along the run with the demand u (T,).
+
+        ``by_u`` (T,) and ``by_z`` (T, p) are the derivatives of the objective by demand and output.
+        """
         G = self.loop
         costate, out = np.zeros(G.order), np.empty((len(u), G.n_inputs - 1))
         for k in range(len(u) - 1, -1, -1):
@@ -57,8 +58,10 @@ class LimitedHistory:
         return out
 
     def furthest(self, aim: str, size: float, start: np.ndarray) -> tuple[float, np.ndarray]:
-        """The largest |demand|, |step| or ‖z‖/‖w‖ reached by an input of norm ``size``, and that input (T,
-        m). ``aim``: of AIMS. ``start`` (T, m): where the climb begins."""
+        """Largest value of the objective ``aim`` over inputs of norm ``size``, and its input (T, m).
+
+        ``aim`` is one of AIMS: |demand|, |step| or ‖z‖/‖w‖. The search begins at ``start`` (T, m).
+        """
         best, best_input = -np.inf, start
         w = size * start / np.linalg.norm(start)
         for _ in range(CLIMBS):

@@ -1,6 +1,6 @@
 """Lower bound of μ over all controllers of a plant, frequency by frequency.
 
-At one frequency a controller is any matrix Q in M = M11 + M12 Q M21, and for a given D (Parrott 1978)
+At one frequency a controller is any matrix Q in M = M11 + M12 Q M21. For a given D (Parrott 1978)
 
     min over Q of σ̄(D M D⁻¹) = max( σ̄(D M11 D⁻¹) on the kernel of M21 D⁻¹,
                                     the same of the adjoint and the kernel of M12ᴴ D )
@@ -8,8 +8,8 @@ At one frequency a controller is any matrix Q in M = M11 + M12 Q M21, and for a 
 (T14). The first term is the gain from inputs that no measurement shows. The second is the gain to outputs
 that no control reaches. The infimum over D is the least D-scaled bound of any controller at that frequency.
 For up to three full blocks, performance included, the D-scaled bound is μ itself. Branch and bound on ln d_i
-brackets the infimum. Over a box both terms are bounded from below. For this, each d_i takes its small end on
-the left of M and its large end on the right.
+brackets the infimum. Each box of ln d gives lower bounds of both terms. For these, d_i on the left of M takes
+the lower end of the box, and d_i on the right the upper end.
 """
 
 from dataclasses import dataclass
@@ -20,11 +20,11 @@ import scipy.linalg as sl
 from lpvguard.engine.synthesis.interconnection import GeneralisedPlant
 
 GRID = np.r_[0.0, np.geomspace(1e-3, 1e2, 16)]
-"""rad/s"""
+"""Default frequencies of the bound [rad/s]."""
 KERNEL_RTOL = 1e-9
 """Singular values of M21 and M12 below this fraction of the largest are zero."""
 ROUNDING = 4 * float(np.finfo(float).eps)
-"""Rounding of a product of two entries and of its place in a sum."""
+"""Relative rounding error of a product of two entries in a sum."""
 WIDEST = 15.0
 """Largest |ln d| searched."""
 BOXES_AT_ONCE, MOST_ROUNDS = 128, 150
@@ -37,7 +37,7 @@ class Floor:
     Attributes
     ----------
     value : float, the bound, for |ln d_i| ≤ WIDEST and any order
-    at : float, least bound met in the search, value ≤ infimum ≤ at
+    at : float, least bound that the search found, value ≤ infimum ≤ at
     frequency : float, rad/s
     """
 
@@ -52,7 +52,7 @@ def mu_floor(plant: GeneralisedPlant, omega=GRID, rtol: float = 2e-5) -> Floor:
     Parameters
     ----------
     plant : GeneralisedPlant
-    omega : array_like (K,), rad/s, those above Nyquist are left out
+    omega : array_like (K,), rad/s, frequencies above Nyquist's are left out
     rtol : float, relative accuracy, default 2e-05
 
     Returns
@@ -74,13 +74,16 @@ def mu_floor(plant: GeneralisedPlant, omega=GRID, rtol: float = 2e-5) -> Floor:
 
 
 def floor_exceeds(plant: GeneralisedPlant, omega: float, level: float) -> bool:
-    """True when every D has a bound above ``level`` at ``omega`` [rad/s], whatever the controller; False when
-    one has not, or when the search ends undecided."""
+    """True when the bound exceeds ``level`` at ``omega`` [rad/s] for every D and every controller.
+
+    False when it does not for some D, or when the search ends without a decision.
+    """
     return _Frequency(plant, plant.system.response(omega)[0]).exceeds(level)
 
 
 class _Frequency:
-    """Both sides of Parrott's theorem at one frequency; boxes of ln d are (k, τ) arrays ``low``, ``high``."""
+    """Both terms of Parrott's theorem at one frequency. Arrays ``low`` and ``high`` (k, τ) are boxes of ln
+    d."""
 
     def __init__(self, plant: GeneralisedPlant, G: np.ndarray):
         p, m = plant.n_measurement, plant.n_control
@@ -94,7 +97,7 @@ class _Frequency:
         self.dim = len(plant.blocks)
 
     def bound(self, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-        """Lower bound (k,) of the scaled norm over each box; its value where low = high."""
+        """Lower bound (k,) of the scaled norm over each box, equal to the norm where low = high."""
         zero = np.zeros((len(low), 1))
         low, high = np.hstack([low, zero]), np.hstack([high, zero])
         seen = _gain(*self.unseen, np.repeat(low, self.rows, axis=1), np.repeat(high, self.cols, axis=1))
@@ -104,7 +107,7 @@ class _Frequency:
         )
 
     def infimum(self, rtol: float, enough: float) -> tuple[float, float]:
-        """Bracket of the infimum over D; the search ends as soon as it is known to lie below ``enough``."""
+        """Bracket of the infimum over D. The search ends early if the infimum is below ``enough``."""
         low, high = np.full((1, self.dim), -WIDEST), np.full((1, self.dim), WIDEST)
         values, best, least, new = self.bound(low, high), np.inf, np.inf, 1
         for _ in range(MOST_ROUNDS):
@@ -136,7 +139,8 @@ class _Frequency:
         return False
 
     def _divided(self, low, high, values):
-        """The boxes of least bound cut in two, the others behind them as they are, and how many are new."""
+        """All boxes after a cut of those with the least bounds, and the number of new boxes, which come
+        first."""
         order = np.argsort(values, kind="stable")
         first, rest = order[:BOXES_AT_ONCE], order[BOXES_AT_ONCE:]
         children = _halves(low[first], high[first])
@@ -155,10 +159,10 @@ def _halves(low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _gain(image: np.ndarray, source: np.ndarray, left: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """max over v of ‖exp(left) image v‖ / ‖exp(right) source v‖ for each row of ``left`` and ``right``.
+    """Lower bound of max over v of ‖exp(left) image v‖ / ‖exp(right) source v‖, for each row of left and
+    right.
 
-    What is returned is the ratio of one v that was found, less what rounding of its terms may add: a lower
-    bound, however v was found.
+    It is the ratio for one computed v, less the possible rounding of its terms. It holds for any v.
     """
     if source.shape[1] == 0:
         return np.zeros(len(left))

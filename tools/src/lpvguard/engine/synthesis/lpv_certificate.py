@@ -1,5 +1,4 @@
-"""Induced gain of a scheduled closed loop while the speed moves: a parameter-dependent storage function,
-found and proved.
+"""Storage function that proves the induced gain of a scheduled closed loop while the speed moves.
 
 The loop is x+ = A(v) x + B(v) w, z = C(v) x + D(v) w with v+ - v in [-a Ts, a Ts]. With P(v) > 0 and
 
@@ -7,25 +6,28 @@ The loop is x+ = A(v) x + B(v) w, z = C(v) x + D(v) w with v+ - v in [-a Ts, a T
                                                                          <= a Ts
 
 x' P(v) x is a storage function: the gain from w to z is below 1 for every speed history with |dv/dt| <= a,
-from rest. The adjoint loop is ``x+ = A' x + C' z, w = B' x + D' z`` with time reversed. It has the same gain
-over the same histories, so a storage function of either is enough. A controller whose B follows the speed
-moves its states with the speed. In the adjoint these are read through B instead, and the states stay.
+from rest. The adjoint loop is ``x+ = A' x + C' z, w = B' x + D' z`` with time reversed. Both loops have the
+same gain over the same histories, so a storage function of either loop is enough. If the controller's B
+depends on the speed, a change of speed moves the controller's states. In the adjoint loop B becomes an output
+matrix, and the states do not move.
 
-``find`` tries the adjoint first, then the loop. A barrier method on a grid of speeds finds P0 + v P1 +
-P2 / v, in which F is linear. If there is none, strict bounded-real Riccati equations give another P.
-Either is taken piecewise linear between ``KNOTS`` knots in every interval of the controller's nodes.
-``prove`` decides on all speeds. Cells cover the range, and F is tested at a cell's ends. A matrix bounds the
-loss of F between them:
+``find`` tries the adjoint first, then the loop. A barrier method on a grid of speeds searches for
+P0 + v P1 + P2 / v, in which F is linear. If it fails, strict bounded-real Riccati equations give another P.
+Each P is replaced by a piecewise linear one with ``KNOTS`` knots between two nodes of the controller.
 
-- P is affine in a cell, and P(v+) is a mean of affine matrices: ``Storage.afterwards``. Each is tested.
-- F is concave along the chord between the ends except for the product of dP, of P(v+), and dM (M = [A B]). A
-  bound of that product is subtracted.
-- [M; N] (N = [C D]) leaves its chord in the vehicle's rows only (of the adjoint: columns): all else is
-  affine between two nodes of the controller. The deviation follows from bounds on the derivatives of the
-  vehicle's zero-order hold over the cell (``NominalModel.hold_bounds``).
+``prove`` covers the speed range by cells and tests F at the ends of each cell. A matrix bounds the decrease
+of F between both ends:
 
-A failing cell is cut in two, down to ``SMALLEST_CELL``. Near a knot it is cut where speeds begin to reach
-across it, because the parts then have fewer slopes. Every test is by eigenvalues with a margin for rounding.
+- P is affine in a cell. P(v+) is a mean of affine matrices (``Storage.afterwards``), and each is tested.
+- F is concave along the chord between the ends, except for one product of dP and dM, with dP the change of
+  P(v+), and M = [A B]. A bound of this product is subtracted.
+- [M; N] (N = [C D]) deviates from its chord only in the vehicle's rows (in the adjoint: columns). All other
+  entries are affine between two nodes of the controller. Bounds on the derivatives of the vehicle's
+  zero-order hold over the cell (``NominalModel.hold_bounds``) bound the deviation.
+
+A failing cell is cut in two, down to ``SMALLEST_CELL``. Near a knot the cut is at the speed from which one
+step reaches the knot. The two parts then have fewer slopes of P. Every test uses eigenvalues with a margin
+for rounding.
 """
 
 from __future__ import annotations
@@ -44,31 +46,31 @@ from lpvguard.engine.synthesis.statespace import EPS, StateSpace
 from lpvguard.engine.synthesis.storage_grid import StorageGrid, parts_in, refined, terms, unmoved
 
 SMALLEST_CELL = 1e-3
-"""Width in m/s below which a cell that fails is a failure."""
+"""The proof fails if a cell fails that is narrower than this [m/s]."""
 INSIDE = 4
-"""Units in the last place by which a speed lies inside a cell: rounding moves a bend by less."""
+"""Least distance of a cut from the ends of its cell, in units in the last place. Rounding moves a cut by
+less."""
 FIRST_CELLS = 2
-"""Cells that the interval between two knots is cut into at first."""
+"""First number of cells between two knots."""
 MOST_CELLS = 1000
-"""Cells after which a proof is given up: it would take too long to be repeated at every export."""
+"""Largest number of cells of a proof. A larger proof would take too long, because every export repeats it."""
 FIRST_RATE, LARGEST_RATE, SMALLEST_RATE = 0.25, 8.0, 0.015
-"""Rates |dv/dt| tried [m/s^2]: the first one, then by factors of four, up to these; a truck brakes with less
-than
-the largest."""
+"""First, largest and smallest trial rate |dv/dt| [m/s^2]. The rate changes by factors of four. A truck brakes
+with less than the largest rate."""
 SHARES = (0.95, 0.7, 0.5)
-"""Shares of the grid's rate that are tried in the proof between its speeds; the last one for Riccati
-solutions, which vary irregularly between the knots."""
+"""Shares of the rate on the grid that the proof between its speeds tries. Riccati solutions vary irregularly
+between the knots and use the last share only."""
 GRIDS = (1, 2, 4)
-"""Speeds of the search in every interval between nodes; more of them after a failed proof."""
+"""Numbers of search intervals between two nodes. After a failed proof the next number is tried."""
 KNOTS = 16
-"""Knots of a storage function in every interval between nodes: the loss between knots is of second order."""
+"""Number of segments of a storage function between two nodes. The loss between knots is of second order."""
 DOUBLINGS = 20
-"""Doublings of the number of steps that a Gramian sums: a million, three hours at 0.01 s."""
+"""Number of doublings of the steps that a Gramian sums: a million steps, or three hours at 0.01 s."""
 HIDDEN = 1e-12
-"""Share of the largest Gramian entry, added to the Gramians that make the coordinates."""
+"""Share of the largest Gramian entry that is added to the Gramians of the coordinates."""
 SLACKS = (3e-4, 1e-4, 3e-5, 1e-5, 1e-6)
-"""Extra input and output on every state with which the frozen Riccati equations are made strict, relative to
-the coordinates."""
+"""Squares of the extra input and output on every state, which make the Riccati equations at frozen speeds
+strict."""
 
 
 @dataclass(frozen=True)
@@ -78,13 +80,15 @@ class Family:
     Attributes
     ----------
     at : Callable
-        Speed [m/s] -> StateSpace, whose last ``n_probes`` outputs are the vehicle's state and inputs.
-    nodes : ndarray (K,), m/s, between them all but the vehicle is affine
+        Returns the StateSpace at a speed [m/s]. Its last ``n_probes`` outputs are the vehicle's state and
+        inputs.
+    nodes : ndarray (K,), m/s
+        Between two nodes every entry outside the vehicle's rows is affine in the speed.
     vehicle : slice, rows of [A B] that are Xi(v) times the probes
     n_probes : int
-    hold_bounds : Callable, (low, high) -> entrywise bounds of |Xi'| and |Xi''| over these speeds
+    hold_bounds : Callable, returns entrywise bounds of |Xi'| and |Xi''| from ``low`` to ``high`` [m/s]
     Ts : float, s
-    adjoint : bool, storage functions are those of the adjoint loop
+    adjoint : bool, storage functions belong to the adjoint loop
     """
 
     at: Callable[[float], StateSpace]
@@ -96,7 +100,7 @@ class Family:
     adjoint: bool = False
 
     def loop(self, v: float) -> StateSpace:
-        """The loop, or its adjoint, without probes at speed v [m/s]."""
+        """The loop, or its adjoint, at speed v [m/s], without probes."""
         return self.unprobed(self.at(v))
 
     def unprobed(self, G: StateSpace) -> StateSpace:
@@ -106,13 +110,13 @@ class Family:
 
 
 def relevant(family: Family, rows: slice, columns: slice) -> Family:
-    """Restrict a family to some inputs and outputs, without states that are irrelevant at every speed.
+    """Restrict a family to some inputs and outputs, and remove states without effect at every speed.
 
     Parameters
     ----------
     family : Family
-    rows : slice, outputs, before the probes
-    columns : slice, inputs
+    rows : slice, outputs that are kept, besides the probes
+    columns : slice, inputs that are kept
 
     Returns
     -------
@@ -124,7 +128,8 @@ def relevant(family: Family, rows: slice, columns: slice) -> Family:
     def any_of(parts: list[np.ndarray]) -> np.ndarray:
         return np.max([np.abs(part) for part in parts], axis=0) > 0
 
-    # An entry that is affine between nodes and zero at two speeds is zero. The vehicle's rows count as full.
+    # An entry that is affine between nodes and zero at two speeds is zero. The vehicle's rows are treated as
+    # full.
     moves: np.ndarray = any_of([G.A for G in loops])
     moves[family.vehicle] |= any_of([G.C[n_z:] for G in loops]).any(axis=0)
     entered: np.ndarray = np.asarray(any_of([G.B[:, columns] for G in loops]).any(axis=1))
@@ -164,7 +169,7 @@ class Storage:
     basis : ndarray (n, n)
     knots : ndarray (K,), m/s
     P : ndarray (K, n, n), at the knots
-    adjoint : bool, of the adjoint loop
+    adjoint : bool, whether P belongs to the adjoint loop
     """
 
     basis: np.ndarray
@@ -177,11 +182,11 @@ class Storage:
         return self._continued(self._segment(v), v)
 
     def _segment(self, v: float) -> int:
-        """That in which v lies; beyond the last knots the outermost."""
+        """Index of the segment that contains v; beyond the knots, of the outermost segment."""
         return int(np.clip(np.searchsorted(self.knots, v) - 1, 0, len(self.knots) - 2))
 
     def _continued(self, k: int, v: float) -> np.ndarray:
-        """P at v as segment k has it."""
+        """Linear function of segment k, evaluated at v."""
         share = (v - self.knots[k]) / (self.knots[k + 1] - self.knots[k])
         return (1 - share) * self.P[k] + share * self.P[k + 1]
 
@@ -193,9 +198,10 @@ class Storage:
     def afterwards(self, low: float, high: float, step: float) -> list[tuple[np.ndarray, np.ndarray]]:
         """Pairs of matrices at ``low`` and ``high`` of one segment that bound P(v+).
 
-        For every v between and |v+ - v| <= ``step``, P(v+) is a mean of points on the pairs' chords at v.
-        Where v + step, or v - step, lies in one segment for all v, the chords are P there and P at the knots
-        between. Elsewhere they are P(v) and a step along the slope of every segment between.
+        Each pair defines a chord over [low, high]. For every v in it and |v+ - v| <= ``step``, P(v+) is a
+        mean of the chords at v. If v + step (or v - step) lies in the same segment for all v, the chords are
+        P there and P at the knots between. Otherwise they are P(v) plus a step along the slope of each
+        segment between.
         """
         reserve = INSIDE * np.spacing(high)
         own = self._segment(0.5 * (low + high))
@@ -214,7 +220,8 @@ class Storage:
         return pairs
 
     def cut(self, low: float, high: float, step: float) -> float:
-        """Return a cut of low..high: its middle, or the nearest speed with a knot ``step`` away."""
+        """Return a speed that cuts low..high: the speed nearest to its middle with a knot ``step`` away, or
+        the middle."""
         inner = self.knots[1:-1]
         bends = np.concatenate([inner - step, inner + step])
         middle, reserve = 0.5 * (low + high), INSIDE * np.spacing(high)
@@ -224,9 +231,9 @@ class Storage:
 
 @dataclass(frozen=True)
 class Proof:
-    """Result of ``prove``: number of cells, and the least eigenvalue of F at their ends.
+    """Result of ``prove``: the number of cells, and the least eigenvalue of F less its remainder.
 
-    The remainder is subtracted. The eigenvalue is relative to the storage's trace over its order.
+    The eigenvalue is relative to the mean of the storage's eigenvalues.
     """
 
     cells: int
@@ -241,12 +248,12 @@ class LpvCertificate:
     ----------
     rate : float, m/s^2
     storage : Storage
-    P : ndarray (3, n, n), P0, P1, P2 in ``storage.basis``, or None for Riccati solutions
-        With ``own_knots`` P at the storage's knots.
+    P : ndarray (3, n, n), P0, P1, P2 in ``storage.basis``, or None
+        It is None for Riccati solutions and with ``own_knots``.
     proof : Proof
-    not_found : float or None, least rate tried without a storage function, which may still exist
+    not_found : float or None, m/s^2, least rate at which the search failed
     level, gain : float, weights of the loop (least_level.py)
-    own_knots : bool
+    own_knots : bool, whether P was searched as piecewise linear between the storage's knots
     """
 
     rate: float
@@ -305,8 +312,10 @@ def prove(family: Family, storage: Storage, rate: float) -> Proof | None:
 
 @dataclass(frozen=True)
 class _End:
-    """The loop at a cell's end: S = [A B; C D] (n + p, n + m), of which ``left`` Xi(v) ``right`` is the
-    vehicle's share, and P."""
+    """The loop at one end of a cell: S = [A B; C D] (n + p, n + m) and P.
+
+    The vehicle's share of S is ``left`` Xi(v) ``right``.
+    """
 
     v: float
     S: np.ndarray
@@ -329,10 +338,9 @@ class _End:
 def _share(
     family: Family, basis: np.ndarray, G: StateSpace, shape: tuple[int, int]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Factors left and right of Xi(v) (of the adjoint: of its transpose) in S, in the coordinates of
-    ``basis``.
+    """Factors left and right of Xi(v) in S, in the coordinates of ``basis``.
 
-    G is the family at v.
+    In the adjoint they are the factors of its transpose. G is the family at v.
     """
     n = len(basis)
     rows, probes = np.eye(n)[:, family.vehicle], np.hstack([G.C, G.D])[G.n_outputs - family.n_probes :]
@@ -345,15 +353,17 @@ def _share(
 
 
 def _cell_slack(family: Family, storage: Storage, one: _End, two: _End, rate: float) -> float | None:
-    """Least eigenvalue of F less remainder at a cell's ends; None when one is not positive, or P(v+) is
-    not."""
+    """Least eigenvalue of F less its remainder at both ends of a cell.
+
+    None where this eigenvalue, F or P(v+) is not positive.
+    """
     n, width = len(storage.basis), two.v - one.v
     first, second = family.hold_bounds(one.v, two.v)
     S = (one.S, two.S)
     E = np.eye(n, one.S.shape[1])
     dM = two.S[:n] - one.S[:n]
-    # Xi leaves its chord, times what varies beside it, R, by (rho1 R + rho2 dR) with |rho1| <= width^2/8
-    # |Xi''|, |rho2| <= width/4 |Xi'|.
+    # The product of Xi and a factor R that varies in the cell deviates from its chord by rho1 R + rho2 dR,
+    # with |rho1| <= width^2/8 |Xi''| and |rho2| <= width/4 |Xi'|.
     bound = np.hstack([width**2 / 8 * second] * 2 + [width / 4 * first])
     left, right = one.left, one.right
     if family.adjoint:
@@ -399,13 +409,14 @@ def _positive(X: np.ndarray) -> bool:
 
 
 def _absolute(X: np.ndarray) -> np.ndarray:
-    """|X| of a symmetric X: -|X| <= X <= |X|."""
+    """Absolute value |X| of a symmetric X, with -|X| <= X <= |X|."""
     values, vectors = np.linalg.eigh((X + X.T) / 2)
     return (vectors * np.abs(values)) @ vectors.T
 
 
 def _weighed(X: np.ndarray, Y: np.ndarray, inverse: np.ndarray) -> np.ndarray:
-    """eta X + Y / eta for X, Y >= 0 with the eta that costs least against the inverse of F."""
+    """eta X + Y / eta for X, Y >= 0, with the eta that minimises its trace times ``inverse``, the inverse of
+    F."""
     x, y = np.sum(inverse * X), np.sum(inverse * Y)
     if not (x > 0 and y > 0):
         return X + Y
@@ -416,12 +427,12 @@ def _weighed(X: np.ndarray, Y: np.ndarray, inverse: np.ndarray) -> np.ndarray:
 def _crossed(left: list[np.ndarray], bound: np.ndarray, right: np.ndarray, inverse: np.ndarray) -> np.ndarray:
     """Upper bound of x rho r + (x rho r)' for every mean x of ``left`` (N, a) and |rho| <= bound (a, b).
 
-    r = ``right`` (b, N). Every product has the eta of least cost against the inverse of F.
+    r = ``right`` (b, N). The eta of each product minimises the trace of its bound times ``inverse``.
     """
     x_size = np.sqrt(sum(np.sum(x * (inverse @ x), axis=0) for x in left))
     r_size = np.sqrt(np.sum(right.T * (inverse @ right.T), axis=0))
     x_safe, r_safe = (np.where(size > 0, size, 1.0) for size in (x_size, r_size))
-    # A product with a part that is 0 is 0 and asks for nothing.
+    # A product with a factor 0 is 0 and needs no bound.
     moved, heard = np.any([np.any(x != 0, axis=0) for x in left], axis=0), np.any(right != 0, axis=1)
     on_x, on_r = bound @ (r_safe * heard) / x_safe, (x_safe * moved) @ bound / r_safe
     return sum((x * on_x) @ x.T for x in left) + (right.T * on_r) @ right
@@ -445,7 +456,7 @@ def polynomial_storage(family: Family, basis: np.ndarray, P: np.ndarray) -> Stor
 
 
 def riccati_storage(family: Family) -> Storage | None:
-    """Solve the bounded-real Riccati equation strictly at the knots.
+    """Solve the strict bounded-real Riccati equation at every knot.
 
     Parameters
     ----------
@@ -453,7 +464,7 @@ def riccati_storage(family: Family) -> Storage | None:
 
     Returns
     -------
-    Storage, or None if a frozen gain is not below 1
+    Storage, or None if the gain at a frozen speed is not below 1
     """
     knots = refined(family.nodes, KNOTS)
     frozen = frozen_at(family, knots)
@@ -463,7 +474,7 @@ def riccati_storage(family: Family) -> Storage | None:
 def frozen_at(family: Family, speeds: np.ndarray):
     """Basis (n, n), pairs ([A B], [C D]) and Riccati solutions (k, n, n) at ``speeds`` (k,), or None.
 
-    The coordinates suit all speeds.
+    One basis serves all speeds.
     """
     loops = [family.loop(v) for v in speeds]
     if not all(G.stability_margin() > 0 for G in loops):
@@ -475,7 +486,7 @@ def frozen_at(family: Family, speeds: np.ndarray):
 
 
 def find(family: Family) -> LpvCertificate | None:
-    """Search and prove the storage function with the largest rate, of the adjoint or else of the loop.
+    """Search for the storage function with the largest proved rate, of the adjoint or else of the loop.
 
     Parameters
     ----------
@@ -498,7 +509,7 @@ def find(family: Family) -> LpvCertificate | None:
 
 
 def _polynomial(family: Family) -> LpvCertificate | None:
-    """P0 + v P1 + P2 / v with the largest rate that was found and proved."""
+    """Certificate by P0 + v P1 + P2 / v with the largest proved rate."""
     for parts in GRIDS:
         any_feasible, proved = _on_grid(family, refined(family.nodes, parts))
         if proved is not None or not any_feasible:
@@ -507,7 +518,8 @@ def _polynomial(family: Family) -> LpvCertificate | None:
 
 
 def _on_grid(family: Family, grid: np.ndarray) -> tuple[bool, LpvCertificate | None]:
-    """Search a storage function at the speeds ``grid`` for any rate, and prove it between them."""
+    """Search at the speeds ``grid`` and prove between them: whether the search succeeded, and the
+    certificate."""
     start = frozen_at(family, grid)
     if start is None:
         return False, None
@@ -533,7 +545,7 @@ def _on_grid(family: Family, grid: np.ndarray) -> tuple[bool, LpvCertificate | N
 
 
 def _riccati(family: Family) -> LpvCertificate | None:
-    """The Riccati solutions at the knots, as they come."""
+    """Certificate by the Riccati solutions at the knots."""
     storage = riccati_storage(family)
     if storage is None:
         return None
@@ -554,7 +566,7 @@ def _rate_at_knots(family: Family, storage: Storage) -> float:
 
 
 def _next_rate(reached: float | None, failed: float | None) -> float | None:
-    """The rate to try after the largest reached and the least failed [m/s^2]; None: enough."""
+    """Next trial rate from the largest feasible and the least failed one [m/s^2]; None ends the search."""
     if reached is None:
         if failed is None:
             return FIRST_RATE
@@ -565,11 +577,11 @@ def _next_rate(reached: float | None, failed: float | None) -> float | None:
 
 
 def _coordinates(loops: list[StateSpace]) -> np.ndarray:
-    """Basis in which the sums over the loops of both Gramians are nearly equal and diagonal.
+    """Basis in which both Gramians, summed over the loops, are nearly equal and diagonal.
 
-    States are first scaled to similar Gramians. Each Gramian has HIDDEN of its largest entry added, so that
-    states that are hardly reached or observed do not make the basis singular. Factors are never multiplied
-    out, because scales of states may differ by more than the number range.
+    States are first scaled to similar Gramians. HIDDEN times the largest entry is added to each Gramian.
+    States that are hardly reached or observed then do not make the basis singular. The factors of the
+    Gramians are never multiplied, because the products could overflow.
     """
     reach = _rows(np.hstack([_reached(G.A, G.B) for G in loops]))
     seen = _rows(np.hstack([_reached(G.A.T, G.C.T) for G in loops]))
@@ -585,7 +597,7 @@ def _coordinates(loops: list[StateSpace]) -> np.ndarray:
 
 
 def _reached(A: np.ndarray, B: np.ndarray) -> np.ndarray:
-    """L (n, n) with L L' = A L L' A' + B B', by doubling; A (n, n) stable."""
+    """Factor L (n, n) of a Gramian, L L' = A L L' A' + B B', by doubling. A (n, n) is stable."""
     L = _rows(B)
     for _ in range(DOUBLINGS):
         L, A = _rows(np.hstack([L, A @ L])), A @ A
@@ -599,8 +611,10 @@ def _rows(X: np.ndarray) -> np.ndarray:
 
 
 def _frozen(parts: list[tuple[np.ndarray, np.ndarray]], Ts: float) -> np.ndarray | None:
-    """Strict solutions of the bounded-real Riccati equation at every speed, (k, n, n), all with the same
-    slack; None when a frozen gain is not below 1."""
+    """Strict solutions (k, n, n) of the bounded-real Riccati equation at every speed, with one slack for all.
+
+    None where the gain at a frozen speed is not below 1.
+    """
     for slack in SLACKS:
         out = []
         for M, N in parts:
@@ -626,10 +640,11 @@ def _frozen(parts: list[tuple[np.ndarray, np.ndarray]], Ts: float) -> np.ndarray
 
 
 def _even(basis, parts, frozen):
-    """Coordinates in which the frozen solutions' mean is diagonal and their dissipation in a step even.
+    """Coordinates in which the mean of the frozen solutions is diagonal and that of their dissipation the
+    identity.
 
-    Slow states lose little of their storage in a step. In other coordinates the barrier's curvature would
-    drown in theirs.
+    Slow states lose little of their storage in a step. In other coordinates they would dominate the curvature
+    of the barrier.
     """
     n = len(basis)
     lost = unmoved(parts).F(frozen).mean(axis=0)[:n, :n]

@@ -1,12 +1,12 @@
-"""Stability margins of a single loop, and those that a set of loops certainly has (THEORY 7.5, [13]).
+"""Stability margins of a single loop, and the least margins over a set of loops (THEORY 7.5, [13]).
 
-L is the loop's frequency response, broken at the plant's input, with negative feedback: S = 1/(1 + L) and
-T = L/(1 + L). Frequencies are in rad/s, gains are factors, phases are in rad and delays in s. The open loop
-must be stable: then the loop is stable exactly when 1 + L does not encircle 0.
+L is the loop's frequency response, broken at the plant's input, with negative feedback: S = 1/(1 + L) and T =
+L/(1 + L). Frequencies are in rad/s, gains are factors, phases are in rad and delays in s. The open loop must
+be stable. The closed loop is then stable exactly when 1 + L does not encircle 0.
 
-``Response`` is any function from omega (k,) to L (k,). ``of_samples`` makes one of measured samples, and
-``of_system`` of a system. A first grid is refined until log L and log (1 + L) change by at most STEP from
-point to point. Crossings and maxima are then found on the function itself.
+A ``Response`` is a function from omega (k,) to L (k,). ``of_samples`` makes it from measured samples,
+``of_system`` from a system. The first grid is refined until log L and log (1 + L) change by at most STEP
+between neighbours. The search for crossings and maxima then uses the function itself.
 """
 
 from collections.abc import Callable
@@ -21,34 +21,34 @@ from lpvguard.engine.synthesis.errors import SynthesisError
 from lpvguard.engine.synthesis.statespace import StateSpace
 
 Response = Callable[[np.ndarray], np.ndarray]
-"""omega (k,) [rad/s] to complex numbers (k,)."""
+"""Function from omega (k,) [rad/s] to complex numbers (k,)."""
 SKEWS = {"S": 1.0, "T": -1.0, "balanced": 0.0}
 """Skew sigma of each disk margin."""
 NAMES = (
     *("gain_up", "gain_down", "phase", "delay", "Ms", "Mt"),
     *("disk_S", "disk_T", "disk_balanced", "disk_gain", "disk_phase"),
 )
-"""Names of the margins: factors, rad, s, factors, radii of disks, and what the balanced disk covers: a factor
-up and down, rad."""
+"""Names of the margins. gain_up, gain_down, Ms, Mt and disk_gain are factors. phase and disk_phase are in
+rad, delay is in s. disk_S, disk_T and disk_balanced are radii."""
 SHOWN = {"phase": ("°", 180 / np.pi), "delay": ("ms", 1e3), "disk_phase": ("°", 180 / np.pi)}
-"""Unit in which people read a margin, and its factor from SI; the other margins have no unit."""
+"""Display unit of a margin, and its factor from SI. The other margins have no unit."""
 STEP = 0.05
 """Largest change of log L and log (1 + L) between neighbours of a refined grid."""
 ROUNDS = 60
 TOLERANCE = 0.02
-"""Largest estimated error of L between samples, over 1 + |L|."""
+"""Largest estimated error of L between samples, relative to 1 + |L|."""
 FEWEST = 8
-"""Samples."""
+"""Least number of samples."""
 SEARCHED = 0.5
-"""A local maximum on the grid is followed where its logarithm is no further than this below the largest."""
+"""A local search starts from each grid maximum whose logarithm is at most this much below the largest."""
 GRID = 400
-"""Points of a system's first grid."""
+"""Number of points of the first grid of a system."""
 
 
 @dataclass(frozen=True)
 class LoopMargin:
-    """A margin and where it is attained: ``value``, ``omega`` [rad/s]; None: nowhere, the margin is
-    unlimited."""
+    """A margin ``value`` and the frequency ``omega`` [rad/s] where it is attained, None for an unlimited
+    margin."""
 
     value: float
     omega: float | None
@@ -60,8 +60,8 @@ class LoopMargins:
 
     Attributes
     ----------
-    unstable_poles : int, of the closed loop
-    by_name : dict[str, LoopMargin], by NAMES, empty for an unstable loop
+    unstable_poles : int, number of unstable poles of the closed loop
+    by_name : dict[str, LoopMargin], a margin for each of NAMES, empty for an unstable loop
     """
 
     unstable_poles: int
@@ -78,7 +78,7 @@ def shown(name: str, value: float) -> float:
 
     Parameters
     ----------
-    name : str, of the margin
+    name : str, name of the margin
     value : float
 
     Returns
@@ -91,7 +91,8 @@ def shown(name: str, value: float) -> float:
 def disk_gain_and_phase(alpha: float, skew: float) -> tuple[float, float, float]:
     """Compute the gain and phase that a disk margin covers.
 
-    Gain alone may lie between the factors, phase alone between minus and plus the phase.
+    The loop stays stable if the gain alone changes by a factor between both factors. It also stays stable if
+    the phase alone changes by at most the phase.
 
     Parameters
     ----------
@@ -110,7 +111,7 @@ def disk_gain_and_phase(alpha: float, skew: float) -> tuple[float, float, float]
         return 0.0, np.inf, np.pi
     low = (2 - alpha * (1 - skew)) / (2 + alpha * (1 + skew))
     rest = 2 - alpha * (1 + skew)
-    # The phase's cosine is over / under.
+    # The cosine of the phase is over / under.
     if rest == 0:
         high, over, under = np.inf, low, 1.0
     else:
@@ -126,8 +127,9 @@ def disk_gain_and_phase(alpha: float, skew: float) -> tuple[float, float, float]
 def of_samples(omega: np.ndarray, L: np.ndarray) -> Response:
     """Interpolate a response by a cubic spline of L over log omega, constant beyond the samples.
 
-    The error falls with the fourth power of the samples' distance. A sixteenth of the error at every second
-    sample of the spline through the others therefore estimates it.
+    The error falls with the fourth power of the distance between samples. A spline through every second
+    sample has an error at the other samples. A sixteenth of this error therefore estimates the error of the
+    whole spline.
 
     Parameters
     ----------
@@ -141,7 +143,7 @@ def of_samples(omega: np.ndarray, L: np.ndarray) -> Response:
     Raises
     ------
     SynthesisError
-        If that error exceeds TOLERANCE (1 + |L|), or samples are not finite.
+        If the error exceeds TOLERANCE (1 + |L|), or a sample is not finite.
     """
     omega, L = np.asarray(omega, float), np.asarray(L, complex)
     if len(omega) < FEWEST or omega[0] <= 0 or (np.diff(omega) <= 0).any() or L.shape != omega.shape:
@@ -151,7 +153,7 @@ def of_samples(omega: np.ndarray, L: np.ndarray) -> Response:
     if not np.isfinite(L).all():
         raise SynthesisError("loop", "L", "a sample is not finite", "finite samples")
     x = np.log(omega)
-    # The last sample belongs to both splines, so that the coarse one nowhere extrapolates.
+    # The coarse spline includes the last sample, so that it does not extrapolate.
     coarse = np.unique([*range(0, len(x), 2), len(x) - 1])
     error = np.abs(CubicSpline(x[coarse], L[coarse])(x) - L) / 16
     worst = int(np.argmax(error / (1 + np.abs(L))))
@@ -159,8 +161,8 @@ def of_samples(omega: np.ndarray, L: np.ndarray) -> Response:
         raise SynthesisError(
             "loop",
             f"L at {omega[worst]:.4g} rad/s",
-            f"known to {error[worst]:.2g} between the samples",
-            f"at most {TOLERANCE:g} (1 + |L|): more samples",
+            f"an estimated error of {error[worst]:.2g} between the samples",
+            f"an error of at most {TOLERANCE:g} (1 + |L|), by more samples",
         )
     spline = CubicSpline(x, L)
     return lambda at: spline(np.log(np.clip(at, omega[0], omega[-1])))
@@ -180,7 +182,7 @@ def of_system(loop: StateSpace) -> tuple[Response, np.ndarray]:
     Raises
     ------
     SynthesisError
-        If it has not one input, one output and stable poles, or is not well posed.
+        If the loop is not well posed, has an unstable pole, or has more than one input or output.
     """
     if loop.D.shape != (1, 1):
         raise SynthesisError("loop", "L", f"{loop.D.shape} system", "one input and one output")
@@ -219,7 +221,7 @@ def margins(response: Response, omega: np.ndarray) -> LoopMargins:
     Raises
     ------
     SynthesisError
-        If the grid does not.
+        If an end of the grid does not fulfil this condition.
 
     References
     ----------
@@ -239,12 +241,12 @@ def margins(response: Response, omega: np.ndarray) -> LoopMargins:
 def guaranteed(centre: Response, radius: Response, omega: np.ndarray) -> LoopMargins | None:
     """Compute the least margins over all loops with |L - centre| <= radius at every frequency.
 
-    Each least margin is attained by a loop of the set, so no larger one holds for all.
+    A loop of the set attains each least margin, so no larger margin holds for all loops.
 
     Parameters
     ----------
     centre, radius : Response
-    omega : ndarray (K,), rad/s, rising first grid, with ends as for `margins`
+    omega : ndarray (K,), rad/s, rising first grid, whose ends fulfil the conditions of `margins`
 
     Returns
     -------
@@ -258,7 +260,7 @@ def guaranteed(centre: Response, radius: Response, omega: np.ndarray) -> LoopMar
     poles = unstable_poles(c)
     if poles or (np.abs(1 + c) <= radius(omega)).any():
         return None
-    # A small disk meets -1 near the crossings of its centre only, which may lie between points.
+    # A small disk meets -1 only near the crossings of its centre, which may lie between points of the grid.
     omega = np.unique(np.concatenate([omega, *_on_axis_and_circle(centre, omega)]))
     by_name: dict[str, LoopMargin] = {}
     for name, skew in SKEWS.items():
@@ -279,11 +281,10 @@ def guaranteed(centre: Response, radius: Response, omega: np.ndarray) -> LoopMar
 
 
 def unstable_poles(L: np.ndarray) -> int:
-    """Unstable poles of the closed loop from L (K,) on a fine grid over all frequencies, the open loop being
-    stable (Nyquist).
+    """Number of unstable poles of the closed loop from L (K,), by Nyquist's criterion for a stable open loop.
 
-    The curve is closed along the real axis at both ends. SynthesisError where an end is not near it and
-    outside the unit circle.
+    L lies on a fine grid over all frequencies. The curve is closed along the real axis at both ends. Raises
+    SynthesisError where an end is outside the unit circle and not near the real axis.
     """
     back = 1 + np.asarray(L, complex)
     for place, end in (("first", L[0]), ("last", L[-1])):
@@ -294,7 +295,7 @@ def unstable_poles(L: np.ndarray) -> int:
                 f"L is {end:.3g} there",
                 "a frequency beyond which L is real or stays within the unit circle",
             )
-    # From its end the curve turns by less than a quarter to the real axis: rounding takes that away.
+    # The closing arcs turn by less than a quarter. Rounding of the sum removes them.
     turned = np.arctan(back[0].imag / back[0].real) + np.angle(back[1:] / back[:-1]).sum()
     poles = round(-turned / np.pi)
     if poles < 0:
@@ -303,14 +304,14 @@ def unstable_poles(L: np.ndarray) -> int:
 
 
 def _worst_sensitivity(centre: Response, radius: Response, skew: float, omega: np.ndarray) -> np.ndarray:
-    """Largest |S + (skew - 1)/2| over the disk of L: the disk of 1 + L is inverted to a disk."""
+    """Largest |S + (skew - 1)/2| over the disk of L. The inverse of the disk of 1 + L is a disk."""
     back, r = 1 + centre(omega), radius(omega)
     size = np.abs(back) ** 2 - r**2
     return np.abs(back / size + (skew - 1) / 2) + r / size
 
 
 def _disk(name: str, peak: LoopMargin) -> dict[str, LoopMargin]:
-    """The disk margin from its peak, and Ms or Mt, or what the balanced disk covers."""
+    """The disk margin from its peak, with Ms or Mt, or with the gain and phase of the balanced disk."""
     alpha = 1 / peak.value if peak.value else np.inf
     if name != "balanced":
         return {f"M{name.lower()}": peak, f"disk_{name}": LoopMargin(alpha, peak.omega)}
@@ -320,12 +321,13 @@ def _disk(name: str, peak: LoopMargin) -> dict[str, LoopMargin]:
 
 
 def _refined(response: Response, omega: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The grid with points between neighbours until log L and log (1 + L) move by at most STEP; L on it."""
+    """The grid, refined until log L and log (1 + L) change by at most STEP between neighbours, and L on
+    it."""
     L = response(omega)
     for _ in range(ROUNDS):
         with np.errstate(all="ignore"):
             moved = np.maximum(*(np.abs(np.log(x[1:] / x[:-1])) for x in (L, 1 + L)))
-        # Near a zero of L its logarithm never settles: values far below 1 need no resolution.
+        # Near a zero of L its logarithm has no limit. Values far below 1 need no resolution.
         small = (np.abs(L[1:]) < 1e-3) & (np.abs(L[:-1]) < 1e-3)
         wide = (moved > STEP) & ~small & (np.diff(omega) > 1e-12 * omega[1:])
         if not wide.any():
@@ -340,7 +342,7 @@ def _refined(response: Response, omega: np.ndarray) -> tuple[np.ndarray, np.ndar
 
 
 def _largest(size: Response, omega: np.ndarray) -> LoopMargin:
-    """The largest value of ``size`` >= 0 over the grid's range, and where."""
+    """Largest value of ``size`` >= 0 over the range of the grid, and its frequency."""
     with np.errstate(all="ignore"):
         values = np.nan_to_num(size(omega), nan=0.0)
     padded = np.concatenate([[-np.inf], values, [-np.inf]])
@@ -365,8 +367,11 @@ def _signed(value: Callable[[np.ndarray], np.ndarray], sign: float, w: float) ->
 
 
 def _roots(value: Callable[[np.ndarray], np.ndarray], omega: np.ndarray) -> list[float]:
-    """Zeros of a function within the grid. A turning point that faces 0 is followed, so that a pair of zeros
-    between neighbours is not missed."""
+    """Zeros of a function within the range of the grid.
+
+    A local search follows each extremum towards 0, so that it does not miss a pair of zeros between
+    neighbours.
+    """
     values = value(omega)
     facing = np.flatnonzero(
         (np.sign(values[1:-1]) * (values[1:-1] - values[:-2]) <= 0)
@@ -419,31 +424,33 @@ def _crossings(response: Response, omega: np.ndarray, L: np.ndarray) -> dict[str
 
 
 def _gains(c: np.ndarray, radius: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Largest factor below 1 (0: none) and least above 1 (inf: none) that bring the disk about c to -1:
-    |1 + k c| = k radius."""
+    """Factors k nearest to 1 that bring the disk about c to -1, |1 + k c| = k radius.
+
+    They are the largest factor below 1 (0 if none) and the least factor above 1 (inf if none).
+    """
     with np.errstate(all="ignore"):
         square, half = np.abs(c) ** 2 - radius**2, c.real
         root = np.sqrt(half**2 - square)
         both = np.array(
             [1 / (-half + root), 1 / (-half - root)]
-        )  # of k^2 square + 2 k half + 1, no loss at 0
+        )  # roots of k^2 square + 2 k half + 1, without cancellation at 0
     below = np.where(both < 1, both, 0.0).max(axis=0, initial=0.0)
     return below, np.where(both > 1, both, np.inf).min(axis=0)
 
 
 def _angles(c: np.ndarray, radius: np.ndarray) -> np.ndarray:
-    """(2, k) lags in 0..2 pi that bring the disk about c to -1; NaN: none does."""
+    """Two lags (2, k) in 0..2 pi that bring the disk about c to -1, NaN if no lag does."""
     with np.errstate(all="ignore"):
         half = np.arccos((radius**2 - 1 - np.abs(c) ** 2) / (2 * np.abs(c)))
     return np.mod([np.angle(c) + half, np.angle(c) - half], 2 * np.pi)
 
 
 def _turn(c: np.ndarray, radius: np.ndarray) -> np.ndarray:
-    """Least |phase| that brings the disk to -1 [rad]; inf: none."""
+    """Least |phase| that brings the disk to -1 [rad], inf if none does."""
     lag = _angles(c, radius)
     return np.nan_to_num(np.minimum(lag, 2 * np.pi - lag), nan=np.inf).min(axis=0)
 
 
 def _lag(c: np.ndarray, radius: np.ndarray) -> np.ndarray:
-    """Least lag that brings the disk to -1 [rad]; inf: none."""
+    """Least lag that brings the disk to -1 [rad], inf if none does."""
     return np.nan_to_num(_angles(c, radius), nan=np.inf).min(axis=0)

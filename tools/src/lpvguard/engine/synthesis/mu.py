@@ -1,14 +1,13 @@
-"""Structured singular value of a matrix and of a loop, from both sides.
+"""Upper and lower bounds of the structured singular value of a matrix and of a loop.
 
-μ(M) = 1 / min{ max_i σ̄(Δ_i) : det(I − M Δ) = 0 } over Δ = diag(Δ_1, Δ_2, ...). Δ is (Σ rows) × (Σ cols) and
-M (Σ cols) × (Σ rows) of the blocks: full complex, or δ I with δ complex or real.
+μ(M) = 1 / min{ max_i σ̄(Δ_i) : det(I − M Δ) = 0 } over Δ = diag(Δ_1, Δ_2, ...). A block is full complex, or δ
+I with δ complex or real. Δ is (Σ rows) × (Σ cols) and M (Σ cols) × (Σ rows), summed over the blocks.
 
-Upper bound: the least β with  Mᴴ D_L M + j (G M − Mᴴ G) ≼ β² D_R  (Fan, Tits & Doyle 1991). It is exact for
-up to three full complex blocks. Real blocks are bounded on boxes of their parameters besides (``real_mu``),
-which closes the gap that D and G leave. Over an interval the bound is proved between frequencies too.
-Lower bound: a Δ with I − M Δ singular, checked.
-
-Every upper bound comes with its proof: scalings, and where they hold. ``Prover.verified`` tests them anew.
+Upper bound: the least β with Mᴴ D_L M + j (G M − Mᴴ G) ≼ β² D_R (Fan, Tits & Doyle 1991). It is exact for up
+to three full complex blocks. With real blocks, further bounds on boxes of their parameters (``real_mu``)
+close the gap that D and G leave. Over an interval the bound is proved between frequencies too. Lower bound: a
+checked Δ with I − M Δ singular. Every upper bound has a proof: scalings, and the set where they hold.
+``Prover.verified`` checks it.
 """
 
 from collections.abc import Sequence
@@ -35,15 +34,15 @@ from lpvguard.engine.synthesis.statespace import StateSpace
 from lpvguard.engine.synthesis.structure import Structure
 
 REAL_RTOL, ONE_REAL_RTOL = 2e-3, 1e-6
-"""Gap between the bounds that is aimed at with real blocks, and with one real scalar alone."""
+"""Target of the gap between the bounds with real blocks, and with a single real scalar."""
 RESOLVED = 1e-2
-"""Gap between the bounds up to which μ counts as known."""
+"""Largest gap between the bounds at which μ counts as resolved."""
 INFLATIONS = (0.0, 1e-14, 1e-12, 1e-10, 1e-8, 1e-6, 1e-5, 1e-4, 1e-3, 5e-3, 0.1, 1.0, 10.0, 100.0, 1e3)
-"""Shares by which the bound of one frequency is raised until its scalings prove it within rounding."""
+"""The bound at one frequency is raised by these shares, in this order, until its scalings prove it."""
 COMPLEX_STARTS, INTERVAL_STARTS = 40, 8
-"""Starts of the search for a lower bound, of a matrix and of a loop's peak."""
+"""Number of starts in the search for a lower bound of a matrix, and at the peak of a loop."""
 NOTHING = 1e-300
-"""An upper bound of at most this is 0."""
+"""A smaller upper bound counts as 0."""
 EMPTY = ParameterBox(np.zeros(0), np.zeros(0))
 
 
@@ -58,8 +57,9 @@ class MuBounds:
     omega : float, rad/s, for a matrix 0
     delta : ndarray (Σrows, Σcols) of complex, or None for a lower bound of 0
         It makes I − M Δ singular with max_i σ̄(Δ_i) = 1 / ``lower``.
-    proof : tuple of Part, in continuous time, for a discrete loop by the bilinear map
-    size : float, ``scaled_size`` of M at ``omega``, or its largest; a bound far below it counts as 0
+    proof : tuple of Part, in continuous time (the bilinear image of a discrete loop)
+    size : float, ``scaled_size`` of M at ``omega``, or its largest value
+        A bound far below it counts as 0.
     """
 
     upper: float
@@ -71,7 +71,8 @@ class MuBounds:
 
     @property
     def gap(self) -> float:
-        """Share by which the upper bound exceeds the lower; 0 for an upper bound of at most ``ZERO`` size."""
+        """Share by which the upper bound exceeds the lower one; 0 for an upper bound of at most ``ZERO``
+        times size."""
         if self.upper <= max(ZERO * self.size, NOTHING):
             return 0.0
         return self.upper / self.lower - 1 if self.lower > 0 else np.inf
@@ -89,7 +90,8 @@ def mu_bounds(M: np.ndarray, blocks: Sequence[Block], rtol: float = 1e-8) -> MuB
     ----------
     M : ndarray (Σcols, Σrows) of complex
     blocks : Sequence[Block]
-    rtol : float, accuracy of the scalings' bound, default 1e-8; with real blocks the target is ``REAL_RTOL``
+    rtol : float, relative accuracy of the scalings' bound, default 1e-8
+        With real blocks the target of the gap is ``REAL_RTOL``.
 
     Returns
     -------
@@ -147,7 +149,8 @@ def mu_interval(
     blocks : Sequence[Block]
     low, high : float, rad/s, high may be infinite, or in discrete time pi / dt
     rtol : float, target of the gap
-    least : float, start of the search, default 0.0; ``upper`` is that level where it can be proved
+    least : float, first level of the search, default 0.0
+        ``upper`` equals this level where it can be proved.
 
     Returns
     -------
@@ -175,22 +178,22 @@ def mu_interval(
 
 
 def _aim(structure: Structure, rtol: float) -> float:
-    """Return the gap aimed at: D and G are exact for one real scalar alone."""
+    """Return the target of the gap. D and G are exact for a single real scalar."""
     return min(rtol, ONE_REAL_RTOL) if structure.n_rows == 1 else rtol
 
 
 def _scaled_bound(prover: Prover, M: np.ndarray, rtol: float) -> tuple[float, Part, np.ndarray, np.ndarray]:
     """Return the D, G bound of M, its proof, and factors of D_left and D_right.
 
-    The bound is raised until its scalings prove it within rounding; scalings that do not are replaced by
-    those of a nearly triangular M, which also count where they prove less, or by 1.
+    The bound is raised until its scalings prove it in spite of rounding. The scalings of a nearly triangular
+    M are tried as well, in the order of their bounds. The last trial has the scalings 1.
     """
     structure = prover.structure
     value, _, left, right, skew = upper_bound(M, structure, rtol)
     n_real = sum(b.kind == "repeated_real" for b in structure.blocks)
-    small = M / (4 * float(np.linalg.norm(M)))  # so that no G is made
+    small = M / (4 * float(np.linalg.norm(M)))  # a small M needs no G
     alone = [sides[:2] for sides in triangular_scalings(small, ROUNDING * np.abs(small), structure)]
-    with np.errstate(all="ignore"):  # extreme scalings of no use
+    with np.errstate(all="ignore"):  # extreme scalings prove nothing
         images = [a.conj().T @ M @ np.linalg.inv(b.conj().T) for a, b in alone]
     tried = [(value, (left, right, skew))]
     for sides, image in zip(alone, images, strict=True):
@@ -204,7 +207,7 @@ def _scaled_bound(prover: Prover, M: np.ndarray, rtol: float) -> tuple[float, Pa
     for upper, (a, b, G) in sorted(levels, key=lambda level: level[0]) + last:
         D_left, D_right = a @ a.conj().T, b @ b.conj().T
         edge = np.full(n_real, 1 / upper)
-        with np.errstate(over="ignore"):  # an endless G proves nothing
+        with np.errstate(over="ignore"):  # an infinite G proves nothing
             point = PointBound(1.0, D_left, np.zeros_like(D_right), D_right, G / upper)
         part = Part(ParameterBox(-edge, edge), 0.0, 0.0, point)
         if prover.verified([part], upper, 0.0, 0.0):
@@ -217,7 +220,7 @@ def _scaled_bound(prover: Prover, M: np.ndarray, rtol: float) -> tuple[float, Pa
 def _complex_interval(
     loop: StateSpace, structure: Structure, low: float, high: float, rtol: float, least: float
 ) -> MuBounds:
-    """Bound μ over an interval without real blocks; arguments as in ``mu_interval``."""
+    """Bound μ over an interval without real blocks, with the parameters of ``mu_interval``."""
 
     def at(M: np.ndarray, _: float) -> PointBound:
         value, _, left, right, skew = upper_bound(M, structure, POINT_RTOL)
@@ -238,7 +241,7 @@ def _complex_interval(
 def _require(
     prover: Prover, bounds: MuBounds, low: float, high: float, M: np.ndarray, moved: np.ndarray
 ) -> None:
-    """Raise SynthesisError unless both bounds are proved; it says which one is not and which one is known.
+    """Raise SynthesisError unless both bounds are proved. The error names the failing and the proved bound.
 
     The proof of the upper bound must hold on [``low``, ``high``] [rad/s], and Δ must attain the lower bound
     at M, whose entries have the rounding ``moved``.
@@ -247,8 +250,8 @@ def _require(
     lower = bounds.lower == 0 or _attains(M, prover.structure, bounds.delta, bounds.lower, moved)
     if upper and lower:
         return
-    wrong = [] if upper else [f"the scalings of {bounds.upper:.6g} do not hold within rounding"]
-    wrong += [] if lower else [f"Delta does not attain {bounds.lower:.6g} within rounding"]
+    wrong = [] if upper else [f"the scalings do not prove the upper bound {bounds.upper:.6g} within rounding"]
+    wrong += [] if lower else [f"Delta does not attain the lower bound {bounds.lower:.6g} within rounding"]
     known = f"; mu is at least {bounds.lower:.6g}" if lower else ""
     known += f"; mu is at most {bounds.upper:.6g}" if upper else ""
     raise SynthesisError(
@@ -267,11 +270,11 @@ def mu_lower(
     enough: float,
     starts: int = 8,
 ) -> tuple[float, np.ndarray | None]:
-    """Lower bound of μ of M (Σcols, Σrows) and the Δ (Σrows, Σcols) that attains it, None for the bound 0.
+    """Lower bound of μ of M (Σcols, Σrows), and the Δ (Σrows, Σcols) that attains it.
 
-    ``left`` (Σcols, Σcols) and ``right`` (Σrows, Σrows) make leftᴴ M right⁻ᴴ a well-scaled image of M, which
-    speeds the search up. They are factors as ``upper_bound`` gives them. The search ends early at a value of
-    ``enough``. A Δ that does not attain its value within rounding counts as none.
+    ``left`` (Σcols, Σcols) and ``right`` (Σrows, Σrows) are the factors that ``upper_bound`` returns. They
+    make leftᴴ M right⁻ᴴ a well-scaled image of M, which speeds up the search. The search ends early at the
+    value ``enough``. The result is (0, None) where no Δ attains its value within rounding.
     """
     M, structure = np.asarray(M, dtype=complex), Structure(tuple(blocks))
     value, delta = lower_bound(M, structure, left, right, enough, starts)
@@ -282,7 +285,7 @@ def mu_lower(
 def _attains(
     M: np.ndarray, structure: Structure, delta: np.ndarray | None, value: float, moved: np.ndarray
 ) -> bool:
-    """Tell whether Δ proves the lower bound ``value`` at M; ``moved`` is rounding of its entries."""
+    """Return whether Δ proves the lower bound ``value`` at M, whose entries have the rounding ``moved``."""
     if delta is None:
         return False
     moved = np.maximum(moved, SINGULAR_RTOL * np.abs(M))

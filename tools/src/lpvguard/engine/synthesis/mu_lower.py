@@ -1,8 +1,8 @@
-"""The lower bound of μ: a Δ with I − M Δ singular, searched from many starts at once, and checked.
+"""Lower bound of μ by a Δ with I − M Δ singular: a search from many starts, and a check.
 
-Where the upper bound is attained at a simple singular value, its vectors give Δ. Else the mixed power
-iteration (Young & Doyle 1990) finds candidates. A local ascent improves the best of them where blocks are
-complex or mixed.
+Where the upper bound is attained at a simple singular value, the singular vectors give Δ. Otherwise the mixed
+power iteration (Young & Doyle 1990) gives candidates. A local ascent improves the best candidates where
+blocks are complex or mixed.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -17,13 +17,13 @@ from lpvguard.engine.synthesis.statespace import EPS
 from lpvguard.engine.synthesis.structure import Structure
 
 ATTAINED_RTOL = 1e-10
-"""Of an upper bound that is attained."""
+"""Relative accuracy of an attained upper bound."""
 SINGULAR_RTOL = 1e-11
 TINY = 1e-300
 Parts = list[np.ndarray | complex]
-"""A Δ of unit size block by block: a matrix of a full block, the number of a repeated one."""
+"""A Δ of unit size, block by block: a matrix for a full block, a number for a repeated block."""
 _Found = tuple[float, np.ndarray, Parts]
-"""A lower bound, the Δ that attains it, and the parts that Δ was made of."""
+"""A lower bound, the Δ that attains it, and the parts of this Δ."""
 
 
 def lower_bound(
@@ -36,12 +36,12 @@ def lower_bound(
     steps: int = 200,
     vectors: Sequence[np.ndarray] = (),
 ) -> tuple[float, np.ndarray | None]:
-    """Largest β found with I − M Δ singular and max σ̄(Δ_i) = 1/β, and that Δ; (0, None) when none was found.
+    """Largest β with I − M Δ singular and max σ̄(Δ_i) = 1/β that the search reaches, and its Δ; else (0,
+    None).
 
-    ``vectors``, each of shape (Σrows,): x near one of M Δ x = x, as the upper bound's scalings leave it.
-
-    The factors of the upper bound's scalings commute with Δ, so the iteration runs on the scaled,
-    well-balanced matrix.
+    ``vectors``, each (Σrows,), are guesses of an x with M Δ x = x, from the scalings of the upper bound. The
+    factors of these scalings commute with Δ. The iteration therefore runs on the scaled, well-balanced
+    matrix.
     """
     if not M.any():
         return 0.0, None
@@ -70,10 +70,10 @@ def lower_bound(
 
 
 def attained(M: np.ndarray, structure: Structure, delta: np.ndarray, moved: np.ndarray) -> float:
-    """Return the lower bound of μ that a Δ proves, 1 / max_i σ̄(Δ_i); 0 where it proves none.
+    """Return the lower bound of μ that a Δ proves, 1 / max_i σ̄(Δ_i), or 0.
 
-    It proves a bound if ``delta`` (Σrows, Σcols) has the blocks' structure and makes I − M Δ singular. M is
-    (Σcols, Σrows), ``moved`` the rounding of its entries.
+    ``delta`` (Σrows, Σcols) proves it if it has the structure of the blocks and makes I − M Δ singular. M is
+    (Σcols, Σrows), and ``moved`` is the rounding of its entries.
     """
     rest = np.array(delta, complex)
     for block, r, c in _places(structure):
@@ -89,7 +89,7 @@ def attained(M: np.ndarray, structure: Structure, delta: np.ndarray, moved: np.n
 
 
 def _parts_of(M: np.ndarray, structure: Structure, x: np.ndarray, level: float) -> Parts:
-    """Return the Δ of unit size that takes M x nearest to ``level`` x, block by block."""
+    """Return the parts of the Δ of unit size for which ``level`` Δ M x is nearest to x in each block."""
     z = M @ x
     parts: Parts = []
     for block, r, c in _places(structure):
@@ -104,17 +104,20 @@ def _parts_of(M: np.ndarray, structure: Structure, x: np.ndarray, level: float) 
 
 
 def _checked(M: np.ndarray, structure: Structure, parts: Parts, least: float = 0.0) -> _Found | None:
-    """What ``parts`` attain; None where that is not above ``least`` or wrong."""
-    if not all(np.isfinite(part).all() for part in parts):  # of extreme scalings
+    """The lower bound that ``parts`` attain, or None where it is not above ``least`` or the check fails."""
+    if not all(np.isfinite(part).all() for part in parts):  # extreme scalings
         return None
     value, delta = _make_singular(M, structure, parts)
     return (value, delta, parts) if delta is not None and value > least and _is_singular(M, delta) else None
 
 
 def _attained(M: np.ndarray, structure: Structure, start: np.ndarray) -> tuple[float, np.ndarray] | None:
-    """The upper bound attained, where full blocks leave its largest singular value simple; else None: the
-    blocks of the singular vectors u, v are then as long in u as in v, and Δ_i takes u_i to v_i. ``start``
-    (Σcols, Σcols): a factor of D_left near the bound's."""
+    """The upper bound and the Δ that attains it, where the blocks are full and the largest singular value
+    simple.
+
+    The blocks u_i and v_i of the singular vectors u, v then have equal lengths, and Δ_i maps u_i to v_i. The
+    result is None otherwise. ``start`` (Σcols, Σcols) is a factor of D_left near that of the bound.
+    """
     scales = np.array([abs(start[r.start, r.start]) for r in structure.row])
     if (infimum := simple_infimum(M, structure, ATTAINED_RTOL, scales)) is None:
         return None
@@ -137,9 +140,8 @@ def _distinct(candidates: list[_Found]) -> list[_Found]:
 
 
 def _vertices(structure: Structure, parts: Parts) -> list[Parts]:
-    """``parts`` with the real blocks at every combination of ±1 (up to 64 of them): where a pure real optimum
-    often lies.
-    """
+    """``parts`` with the real blocks at up to 64 combinations of ±1, where a purely real optimum often
+    lies."""
     real = [k for k, b in enumerate(structure.blocks) if b.kind == "repeated_real"]
     if not real:
         return []
@@ -153,7 +155,8 @@ def _vertices(structure: Structure, parts: Parts) -> list[Parts]:
 
 
 def _align(M: np.ndarray, structure: Structure, parts: Parts, steps: int = 200) -> Parts:
-    """Local ascent of ρ(M Q) over complex Q: each block turned to the gradient at the eigenvectors."""
+    """Local ascent of ρ(M Q) over complex Q, which aligns each block with the gradient at the
+    eigenvectors."""
     value = 0.0
     for _ in range(steps):
         Q = _assemble(structure, parts)
@@ -172,11 +175,11 @@ def _align(M: np.ndarray, structure: Structure, parts: Parts, steps: int = 200) 
 
 
 class _MixedAscent:
-    """Local search over a mixed Δ: the real blocks q/β are closed first, the complex ones are aligned to what
-    is left.
+    """Local search over a mixed Δ.
 
-    At a level β that is reached, any q for which the rest N(β, q) has ρ(N Q) > β raises the level. A pattern
-    search on q in [−1, 1] looks for such a q. A secant search on β finds the level at which ρ(N Q) = β again.
+    The real blocks q/β are closed first and leave a matrix N(β, q). The complex blocks Q are then aligned to
+    N. If β is attained, any q with ρ(N Q) > β gives a higher level. A pattern search on q in [−1, 1] searches
+    for such a q. A secant search then finds the new β with ρ(N Q) = β.
     """
 
     def __init__(self, M: np.ndarray, structure: Structure, parts: Parts):
@@ -198,8 +201,9 @@ class _MixedAscent:
         self.parts = [parts[k] for k in rest]
 
     def spectral(self, q: np.ndarray, beta: float, parts: Parts) -> tuple[complex, Parts]:
-        """ρ(N(β, q) Q) with Q aligned from ``parts``: the eigenvalue and the aligned parts; 0 where N does
-        not exist.
+        """Largest eigenvalue of N(β, q) Q after alignment of Q from ``parts``, and the aligned parts.
+
+        The eigenvalue is 0 where N does not exist.
         """
         diagonal = np.repeat(q, self.sizes) / beta
         try:
@@ -211,7 +215,7 @@ class _MixedAscent:
         return _largest_eigenvalue(N @ _assemble(self.rest, parts)), parts
 
     def run(self, beta: float, budget: int = 120) -> tuple[float, np.ndarray]:
-        """Search from level ``beta``; the level reached and Δ there."""
+        """Search from the level ``beta``. Returns the final level and its Δ."""
         size = 0.4
         beta, value = self.level(self.q, beta, self.parts)
         while size > 1e-5 and budget > 0:
@@ -237,7 +241,7 @@ class _MixedAscent:
         return beta, _assemble(self.structure, full) / beta
 
     def level(self, q: np.ndarray, beta: float, parts: Parts) -> tuple[float, complex]:
-        """The β ≥ about ``beta`` at which ρ(N(β, q) Q) = β, by secant steps; and the eigenvalue there."""
+        """The β near or above ``beta`` with ρ(N(β, q) Q) = β, by secant steps, and the eigenvalue there."""
         low, f0 = beta, None
         for _ in range(40):
             value, parts = self.spectral(q, beta, parts)
@@ -252,9 +256,11 @@ class _MixedAscent:
         return beta, value
 
 
-@np.errstate(over="ignore", invalid="ignore", divide="ignore")  # of extreme scalings: ``_checked`` drops it
+@np.errstate(
+    over="ignore", invalid="ignore", divide="ignore"
+)  # extreme scalings; ``_checked`` drops their results
 def _power_iteration(N: np.ndarray, structure: Structure, starts: int, steps: int) -> list[Parts]:
-    """Unit-size perturbations, per block an array (full) or a number, from ``starts`` runs side by side."""
+    """Candidate parts of unit size, from ``starts`` parallel runs of the mixed power iteration."""
     rng = np.random.default_rng(1)
     count = starts + min(N.shape)
     b = rng.standard_normal((N.shape[1], count)) + 1j * rng.standard_normal((N.shape[1], count))
@@ -295,7 +301,7 @@ def _power_iteration(N: np.ndarray, structure: Structure, starts: int, steps: in
 
 
 def _factor(block: Block, a: np.ndarray, w: np.ndarray, b: np.ndarray, q: np.ndarray, k: int) -> np.ndarray:
-    """The number that a repeated block multiplies by: a phase, or q in [−1, 1] (updated in place)."""
+    """Factor of a repeated block: a phase, or q in [−1, 1], which is updated in place."""
     inner = np.sum(w.conj() * a, axis=0)
     if block.kind == "repeated_complex":
         return _phase(inner)
@@ -311,7 +317,7 @@ def _phase(z: np.ndarray | complex) -> np.ndarray:
 
 
 def _lengths(v: np.ndarray) -> np.ndarray:
-    """Of the columns (k,); of a zero `TINY`."""
+    """Norms (k,) of the columns, at least `TINY`."""
     return np.maximum(np.linalg.norm(v, axis=0), TINY)
 
 
@@ -320,20 +326,22 @@ def _unit(v: np.ndarray) -> np.ndarray:
 
 
 def _rank_one(u: np.ndarray, v: np.ndarray) -> np.ndarray:
-    """u v* of unit size; zero where a vector is. Vectors are scaled first, because squares of 1e-160 have few
-    digits."""
+    """u v* of unit size, or zero where a vector is zero.
+
+    The vectors are scaled first, because squares of 1e-160 have few digits.
+    """
     u, v = (x / max(np.abs(x).max(initial=0.0), TINY) for x in (u, v))
     return np.outer(u, v.conj()) / max(np.linalg.norm(u) * np.linalg.norm(v), TINY)
 
 
 def _largest_eigenvalue(X: np.ndarray) -> complex:
-    """That of the largest absolute value."""
+    """Eigenvalue of X with the largest absolute value."""
     values = np.linalg.eigvals(X)
     return values[np.argmax(np.abs(values))]
 
 
 def _assemble(structure: Structure, parts: Parts, turn: complex = 1.0) -> np.ndarray:
-    """Δ from its parts, complex blocks turned by the phase ``turn``."""
+    """Δ from its parts, with the complex blocks multiplied by the phase ``turn``."""
     delta = np.zeros((structure.n_cols, structure.n_rows), complex)
     for part, (block, r, c) in zip(parts, _places(structure), strict=True):
         if block.kind == "full":
@@ -344,7 +352,7 @@ def _assemble(structure: Structure, parts: Parts, turn: complex = 1.0) -> np.nda
 
 
 def _make_singular(M: np.ndarray, structure: Structure, parts: Parts) -> tuple[float, np.ndarray | None]:
-    """Scale a unit perturbation to Δ with I − M Δ singular; (β, Δ) or (0, None)."""
+    """Scale parts of unit size to a Δ with I − M Δ singular. Returns (β, Δ) or (0, None)."""
     if structure.complex_only:
         delta = _assemble(structure, parts)
         value = _largest_eigenvalue(M @ delta)
@@ -353,7 +361,7 @@ def _make_singular(M: np.ndarray, structure: Structure, parts: Parts) -> tuple[f
     for vary in _free_parameters(structure, parts):
         for start in np.linalg.eigvals(M @ vary(0.0)):
             real = _make_real(M, vary, start)
-            # a Δ whose blocks all lie inside their bounds is smaller than 1/value
+            # the size of Δ may be less than 1 / value, if no block reaches its bound
             if real is not None and 1 / _size(structure, real) > best:
                 best, best_delta = 1 / _size(structure, real), real
     return best, best_delta
@@ -365,9 +373,7 @@ def _size(structure: Structure, delta: np.ndarray) -> float:
 
 
 def _free_parameters(structure: Structure, parts: Parts) -> Iterator[Callable[[float], np.ndarray]]:
-    """One-parameter families through a mixed Δ that keep its size: turn the complex blocks, or move one real
-    block.
-    """
+    """One-parameter families through a mixed Δ: turn the complex blocks, or move one real block."""
     if any(b.kind != "repeated_real" for b in structure.blocks):
         yield lambda s: _assemble(structure, parts, np.exp(1j * s))
     for k, block in enumerate(structure.blocks):
@@ -382,7 +388,8 @@ def _free_parameters(structure: Structure, parts: Parts) -> Iterator[Callable[[f
 
 
 def _make_real(M: np.ndarray, vary: Callable[[float], np.ndarray], start: complex) -> np.ndarray | None:
-    """Secant steps take the eigenvalue ``start`` of M Δ(0) to the real axis; Δ(s) over it there, or None."""
+    """Move the eigenvalue ``start`` of M Δ(0) to the real axis by secant steps. Returns Δ(s) / eigenvalue, or
+    None."""
     s, step, value = 0.0, 1e-4, start
     for _ in range(30):
         if abs(value.imag) <= 1e-13 * abs(value):
@@ -401,5 +408,5 @@ def _make_real(M: np.ndarray, vary: Callable[[float], np.ndarray], start: comple
 
 
 def _is_singular(M: np.ndarray, delta: np.ndarray) -> bool:
-    """det(I − M Δ) = 0 for an M of which each entry moved by ``SINGULAR_RTOL`` at most."""
+    """Whether det(I − M Δ) = 0 after a relative change of at most ``SINGULAR_RTOL`` of the entries of M."""
     return is_singular(M, delta, SINGULAR_RTOL * np.abs(M))

@@ -1,8 +1,8 @@
-"""The upper bound of μ to its infimum.
+"""Least upper bound of μ by the scalings D and G.
 
-It is the least β with  Mᴴ D_L M + j (G M − Mᴴ G) ≼ β² D_R  (Fan, Tits & Doyle 1991), a generalised eigenvalue
-problem. The method of centres solves it (Boyd & El Ghaoui 1993). With full blocks it is the least singular
-value of a scaled M, and where that is simple Newton's method finds it sooner.
+It is the least β with Mᴴ D_L M + j (G M − Mᴴ G) ≼ β² D_R (Fan, Tits & Doyle 1991), a generalised eigenvalue
+problem. The method of centres solves it (Boyd & El Ghaoui 1993). With full blocks, β is the least σ̄ of a
+scaled M. Where this largest singular value is simple, Newton's method is faster.
 """
 
 from __future__ import annotations
@@ -17,33 +17,35 @@ from lpvguard.engine.blocks import Block
 from lpvguard.engine.synthesis.structure import Structure
 
 NEWTON_STEPS, SHORTEST_STEP = 25, 1e-6
-"""Of the search where the largest singular value is simple, before the method of centres takes over."""
+"""Limits of Newton's method for a simple largest singular value. Beyond them the method of centres is
+used."""
 POINT_RTOL = 1e-4
-"""Of the bound at one of many frequencies."""
+"""Relative accuracy of the bound at one of many frequencies."""
 ROUNDED, ABSENT = 1e-12, 1e-40
-"""Shares of ‖M‖ that rounding may leave of a coupling, and that stand for one that is exactly zero."""
+"""Two shares of ‖M‖: the rounding of a coupling, and a substitute for a coupling that is exactly zero."""
 WEAK = 1e-5
-"""Couplings of M below this share of its norm make no scalings more extreme."""
+"""Couplings of M below this share of its norm do not make the scalings more extreme."""
 LEAST_SIZE = 1e-3
-"""Share of ‖M‖ that counts as its size where couplings that Δ does not feel make up the rest."""
+"""Least size of M as a share of ‖M‖. Couplings without effect on μ may make up the rest of ‖M‖."""
 G_WEIGHT = 0.1
-"""Weight of |G|² in the centre that is searched for."""
+"""Weight of |G|² in the definition of the centre."""
 UNFELT = 1e-10
-"""Entries of a G's part of Φ below this count as zero: where M is real, G has no part in it."""
+"""A G is left out if all entries of its part of Φ are below this. Where M is real, G has no effect on Φ."""
 
 
 def upper_bound(
     M: np.ndarray, structure: Structure, rtol: float, target: float = 0.0
 ) -> tuple[float, float, np.ndarray, np.ndarray, np.ndarray]:
-    """β for M (Σcols, Σrows), the infimum's lower bound, factors L of D_left and D_right (D = L Lᴴ), and G.
+    """β for M (Σcols, Σrows), a lower bound of its infimum, factors L of D_left and D_right (D = L Lᴴ), and
+    G.
 
     D_left is (Σcols, Σcols), D_right (Σrows, Σrows), G (Σrows, Σcols). The search ends when β is within
-    ``rtol`` (relative) of the infimum, or when rounding lets it go no lower. With a ``target`` it ends below
-    that β. The scalings are then the centre of those that prove ``target``, far from the borders of that set.
+    ``rtol`` (relative) of the infimum, or when rounding prevents a lower β. With a ``target`` it ends as soon
+    as β is below it. The scalings are then the centre of the set that proves ``target``, far from its border.
 
-    After each centre its D + |G| is absorbed into the matrix (N ← Lᴴ N L⁻ᴴ, D + |G| = L Lᴴ). The next one so
-    starts in well-scaled coordinates even where ever worse conditioned scalings approach the infimum. D alone
-    would leave an ever larger G where a real block's D vanishes beside it.
+    After each centre its D + |G| is absorbed into the matrix (N ← Lᴴ N L⁻ᴴ, D + |G| = L Lᴴ). The next step
+    therefore starts in well-scaled coordinates, even if the optimal scalings are badly conditioned. D alone
+    is not enough: where D of a real block tends to zero, G would grow without limit.
     """
     d = _balance(M, structure)
     left, right = _both_sides(d, structure)
@@ -66,7 +68,7 @@ def upper_bound(
         felt = np.r_[np.ones(n_d, bool), np.abs(skew).max((1, 2), initial=0.0) > UNFELT]
         try:
             x[felt], Z = _centre(x[felt], F[felt], structure, trace[felt])
-        except np.linalg.LinAlgError:  # the set has no interior left within rounding: ``best`` is its level
+        except np.linalg.LinAlgError:  # within rounding the set has no interior: ``best`` is the result
             break
         D_left, D_right = (np.tensordot(x[:n_d], basis, 1) for basis in (structure.left, structure.right))
         infimum = max(infimum, level - _dual_gap(x, Z, structure, trace))
@@ -94,9 +96,10 @@ def upper_bound(
 
 
 def scaled_size(M: np.ndarray, structure: Structure) -> float:
-    """Return the bound of M (Σcols, Σrows) with its real blocks taken as complex: no units enter it.
+    """Return a size of M (Σcols, Σrows) that does not depend on units: the bound with real blocks as complex
+    ones.
 
-    It is at least ``LEAST_SIZE`` of ‖M‖ in balanced units.
+    It is at least ``LEAST_SIZE`` times ‖M‖ in balanced units.
     """
     left, right = _both_sides(_balance(M, structure), structure)
     balanced = float(np.linalg.norm(left @ M @ np.linalg.inv(right), 2))
@@ -106,7 +109,7 @@ def scaled_size(M: np.ndarray, structure: Structure) -> float:
 
 
 def _forms(N: np.ndarray, structure: Structure) -> tuple[np.ndarray, np.ndarray]:
-    """Return Nᴴ E N of each D's basis and j (E N − Nᴴ E) of each G's, for N (Σcols, Σrows)."""
+    """Return Nᴴ E N for the basis E of D, and j (E N − Nᴴ E) for the basis E of G, with N (Σcols, Σrows)."""
     skew = 1j * (structure.skew @ N)
     return N.conj().T @ structure.left @ N, skew + np.conj(np.swapaxes(skew, 1, 2))
 
@@ -114,14 +117,15 @@ def _forms(N: np.ndarray, structure: Structure) -> tuple[np.ndarray, np.ndarray]
 def simple_infimum(
     M: np.ndarray, structure: Structure, rtol: float, d: np.ndarray | None = None
 ) -> tuple[float, float, np.ndarray, np.ndarray, np.ndarray] | None:
-    """`upper_bound` of M (Σcols, Σrows) if all blocks are full and the largest singular value is simple.
+    """`upper_bound` of M (Σcols, Σrows) by Newton's method, or None.
 
-    None otherwise. The value at the infimum counts. It is simple for up to three blocks, except for special
-    M. ``d`` (blocks,) are the start scales.
+    All blocks must be full, and the largest singular value at the infimum must be simple. It is simple for up
+    to three blocks, except for special M. ``d`` (blocks,) are the start scales.
 
     σ̄(D_L^½ M D_R^-½) is convex in the logarithms x of the blocks' scales d (Sezginer & Overton 1990). Where
-    it is simple, Newton's method finds its minimum. Let ``z = D_R^-½ v`` with the right singular vector v. No
-    scaling goes below the least ``‖(M z)_i‖ / ‖z_i‖`` over the blocks. At the minimum all of these are σ̄.
+    it is simple, Newton's method finds its minimum. Let ``z = D_R^-½ v`` with the right singular vector v.
+    The least ``‖(M z)_i‖ / ‖z_i‖`` over the blocks is a lower bound for every scaling. At the minimum all of
+    these ratios are σ̄.
     """
     k = len(structure.blocks)
     if k == 1 or any(b.kind != "full" for b in structure.blocks):
@@ -161,7 +165,8 @@ def simple_infimum(
 def _newton_model(
     M: np.ndarray, x: np.ndarray, rows: list[int], cols: list[int], member: np.ndarray
 ) -> tuple[float, np.ndarray, np.ndarray, float]:
-    """σ̄ of the scaled M, its first and second derivatives (k,), (k, k) in x, and the bound from below.
+    """σ̄ of the scaled M, its first and second derivatives (k,), (k, k) in x, and a lower bound of its
+    minimum.
 
     σ̄ is the largest eigenvalue of [0 N; Nᴴ 0], whose derivative by x_i is [P_i N − N Q_i] above the
     diagonal; ``member`` (k, Σcols + Σrows) holds the diagonals of P_i and −Q_i.
@@ -174,7 +179,7 @@ def _newton_model(
     top, rest = vectors[:, -1], vectors[:, :-1]
     value = float(values[-1])
     weight = np.abs(top) ** 2
-    # S_i both + both S_i with S_i = diag(P_i, -Q_i) is the derivative, for both has zeros on its diagonal.
+    # The derivative is S_i both + both S_i with S_i = diag(P_i, -Q_i), because the diagonal of both is zero.
     turned = member * top
     slope = 2 * value * (member @ weight)
     first = turned @ both.T + value * turned
@@ -190,7 +195,8 @@ def _newton_model(
 def balance(M: np.ndarray, structure: Structure) -> tuple[np.ndarray, np.ndarray]:
     """Return D_left (Σcols, Σcols) and D_right (Σrows, Σrows) that even out the blocks' norms of M.
 
-    Couplings below ``WEAK`` of the norm count as that large, so that rounding makes no extreme scalings.
+    Couplings below ``WEAK`` times the norm are raised to this size, so that rounding makes no extreme
+    scalings.
     """
     return _both_sides(_balance(M, structure, WEAK * float(np.linalg.norm(M))) ** 2, structure)
 
@@ -198,12 +204,12 @@ def balance(M: np.ndarray, structure: Structure) -> tuple[np.ndarray, np.ndarray
 def triangular_scalings(
     M: np.ndarray, moved: np.ndarray, structure: Structure
 ) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-    """Yield factors of D_left (Σcols, Σcols) and D_right (Σrows, Σrows), and G, that suit a nearly
-    triangular M.
+    """Yield factors of D_left (Σcols, Σcols) and D_right (Σrows, Σrows), and G, for a nearly triangular M.
 
-    Repeated blocks are taken to their triangular (Schur) form. Each number on the diagonal gets the D and G
-    that would prove it alone at level 1. Couplings are balanced against the Φ of these. First, rounding
-    ``moved`` of the entries of M (both Σcols, Σrows) counts as a coupling, and then none does.
+    Repeated blocks are transformed to triangular (Schur) form. Each diagonal entry gets the D and G that
+    would prove the level 1 for it alone. The couplings are then balanced against the resulting Φ. The first
+    scalings count the rounding ``moved`` of the entries of M (both Σcols, Σrows) as couplings, the second
+    ones do not.
     """
     finer, turns, real = [], [], []
     for block, r, c in zip(structure.blocks, structure.row, structure.col, strict=True):
@@ -221,7 +227,7 @@ def triangular_scalings(
     g, phi = np.zeros(len(own)), np.ones(len(own))
     for k in np.flatnonzero(real):
         y = turned[places[k]].imag.item()
-        if own[k] > 0.5 and y:  # 1 - |m|^2 + 2 g y is 0.5 + |m|^2 then
+        if own[k] > 0.5 and y:  # then 1 - |m|^2 + 2 g y = 0.5 + |m|^2
             g[k], phi[k] = (own[k] ** 2 - 0.25) / y, 0.5 + own[k] ** 2
     rows, cols = ([getattr(b, side) for b in finer] for side in ("cols", "rows"))
     felt = np.repeat(1 + (np.abs(g) + own) / np.sqrt(phi), rows)[:, None] / np.repeat(np.sqrt(phi), cols)
@@ -250,7 +256,7 @@ def _spread(scales: np.ndarray, sizes: list[int]) -> np.ndarray:
 def _balance(M: np.ndarray, structure: Structure, least: float = 0.0, reach: float = 1e12) -> np.ndarray:
     """Start scalings d_i (Osborne 1960) that even out the Frobenius norms of the blocks' rows and columns.
 
-    Norms below ``least`` count as that large. Each d_i is at most ``reach``, and at least 1 over it.
+    Norms below ``least`` are raised to ``least``. Each d_i lies between 1 / ``reach`` and ``reach``.
     """
     k = len(structure.blocks)
     size = np.array([[np.linalg.norm(M[r, c]) for c in structure.col] for r in structure.row])
@@ -278,7 +284,7 @@ def _level(
     G: np.ndarray,
     size: float,
 ) -> float:
-    """β² (in units of size²) that the scalings prove, rounding of the large terms that cancel included."""
+    """β² (in units of size²) that the scalings prove, with an allowance for rounding of cancelling terms."""
     inverse = np.linalg.inv(right.conj().T)
     N = left.conj().T @ M @ inverse / size
     GN = 1j * (G @ N)
@@ -293,8 +299,8 @@ def _centre(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the centre of {S(x) = Σ x_k F_k ≻ 0, D(x) ≻ 0, tr D_left = const}, and S⁻¹ there.
 
-    Damped Newton steps lead to the least of −log det S − log det D + ½ ``G_WEIGHT`` |G|². Without the last
-    term a G that lifts all of S would grow without limit.
+    Damped Newton steps minimise −log det S − log det D + ½ ``G_WEIGHT`` |G|². Without the last term a G that
+    increases all of S would grow without limit.
     """
     n_d = len(structure.left)
 
@@ -343,10 +349,11 @@ def _whiten(L: np.ndarray, F: np.ndarray) -> np.ndarray:
 
 
 def _dual_gap(x: np.ndarray, Z: np.ndarray, structure: Structure, trace: np.ndarray) -> float:
-    """How far below the level the infimum can lie: the centre's multipliers Z prove level − gap ≤ β².
+    """Largest distance of the infimum below the level. The multipliers Z of the centre prove level − gap ≤
+    β².
 
-    Tight for scalar D_i only; with a repeated block nothing is proved (inf) and the levels' stagnation ends
-    the search.
+    It is tight only for scalar D_i. With a repeated block it is inf, and the search ends when the levels
+    stagnate.
     """
     if any(b.kind != "full" for b in structure.blocks):
         return np.inf

@@ -1,8 +1,7 @@
-"""The H∞ norm as a bracket: a lower bound attained at a frequency and an upper bound from a level test.
+"""Bracket of the H∞ norm: a lower bound at a frequency that attains it, and an upper bound by a level test.
 
 Continuous time uses the eigenvalues of the Hamiltonian matrix (Boyd & Balakrishnan 1990; Bruinsma & Steinbuch
-1990). A discrete system is first mapped bilinearly, which keeps the norm (its symplectic pencil is that
-Hamiltonian's image).
+1990). A bilinear map first makes a discrete system continuous and keeps its norm.
 """
 
 from collections.abc import Callable
@@ -14,7 +13,7 @@ import scipy.linalg as sl
 from lpvguard.engine.synthesis.statespace import EPS, StateSpace, balanced, to_continuous
 
 SMALLEST = 1e-100
-"""Level used for zero: B / level still has a square."""
+"""Level that replaces zero. The square of B / level must not overflow."""
 
 
 @dataclass(frozen=True)
@@ -33,12 +32,14 @@ class NormBracket:
 
 
 def hinf_norm(G: StateSpace, rtol: float = 1e-6) -> NormBracket:
-    """Bracket ‖G‖∞ with upper ≤ (1 + rtol) lower, plus the rounding of G at its peak and of its map.
+    """Bracket ‖G‖∞ with upper ≤ (1 + rtol) lower, plus rounding.
 
-    DC and infinite (or Nyquist) frequency are included. Where rounding of A may lift G above that at DC or at
-    the frequency of a pole, upper is that level. The response is evaluated wherever an eigenvalue of the
-    Hamiltonian comes near the axis, and between such neighbours. Near means 1e-3 of its size, far more than
-    rounding moves it. A crossing that rounding has pushed off the axis is therefore still found.
+    Rounding is that of G at its peak and of the bilinear map. DC and infinite (or Nyquist) frequency are
+    included. Rounding of A may raise σ̄(G) at DC or at the frequency of a pole above this level. upper then
+    is the raised value. The response is evaluated at each frequency where an eigenvalue of the Hamiltonian is
+    near the imaginary axis, and between such neighbours. Near means a real part below 1e-3 of its magnitude,
+    far more than rounding moves it. The test therefore also detects a crossing that rounding has moved off
+    the axis.
 
     Parameters
     ----------
@@ -89,7 +90,7 @@ def hinf_norm(G: StateSpace, rtol: float = 1e-6) -> NormBracket:
 
 
 def _drift(G: StateSpace, H: StateSpace, omega: np.ndarray, warp: Callable[[float], float]) -> float:
-    """Largest σ̄ of what rounding of the bilinear map from a discrete G to H made at ``omega`` (k,)."""
+    """Largest σ̄ over ``omega`` (k,) of the rounding error of the bilinear map from a discrete G to H."""
     if not G.dt or not G.order:
         return 0.0
     change = H.response(omega) - G.response([warp(w) for w in omega])
@@ -109,9 +110,10 @@ def _largest(H: StateSpace, omega) -> tuple[float, float]:
 def _sizes(H: StateSpace, omega: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """σ̄(H(jω)) at each of ``omega`` (k,), and its change by rounding of A's entries.
 
-    The rounding is a few units in the last place of each entry, to first order, so that the states' units do
-    not matter. It is far below any rtol unless the loop is nearly unstable or its signals are many decades
-    apart. A slow pole hidden by A's large entries shows at its own frequency.
+    The change is of first order in a few units in the last place of each entry, so it does not depend on the
+    units of the states. It is far below any rtol unless the loop is nearly unstable or its signals differ by
+    many decades. Rounding of large entries of A may hide a slow pole; the change is then large at the
+    frequency of the pole.
     """
     response = np.broadcast_to(H.D.astype(complex), (len(omega), *H.D.shape)).copy()
     moved, finite = np.zeros(len(omega)), np.isfinite(omega)
@@ -139,14 +141,10 @@ def _both_sides(H: StateSpace, omega: np.ndarray) -> tuple[np.ndarray, np.ndarra
 
 
 def _crossings(H: StateSpace, level: float) -> np.ndarray:
-    """Frequencies where σ̄(H(jω)) may equal ``level``, and the points between them; empty when there are
-    none.
-    """
+    """Frequencies where σ̄(H(jω)) may equal ``level``, and points between them; empty when there are none."""
     n = H.order
     B, D, C = H.B / level, H.D / level, H.C
-    if (
-        H.n_inputs > H.n_outputs
-    ):  # the smaller of the two Gram matrices; the norm of the transpose is the same
+    if H.n_inputs > H.n_outputs:  # the transpose has the same norm and a smaller D.T @ D
         A, B, C, D = H.A.T, C.T / level, H.B.T, D.T
     else:
         A = H.A
@@ -159,17 +157,17 @@ def _crossings(H: StateSpace, level: float) -> np.ndarray:
 def near_axis(eigenvalues: np.ndarray, scale: float) -> np.ndarray:
     """(K,) True for eigenvalues (K,) that are imaginary up to rounding.
 
-    ``scale`` is ‖A‖ of the system. An eigenvalue of an n-fold near-defective cluster moves by about sqrt(eps)
-    times the matrix norm.
+    ``scale`` is ‖A‖ of the system. Rounding moves an eigenvalue of a nearly defective cluster by about
+    sqrt(eps) times the matrix norm.
     """
     return np.abs(eigenvalues.real) <= 1e-3 * np.abs(eigenvalues) + 1e2 * EPS * scale
 
 
 def axis_frequencies(hamiltonian: np.ndarray, scale: float) -> np.ndarray:
-    """Frequencies (K,) [rad/s] of eigenvalues on or near the imaginary axis, DC, and points between and above
-    them.
+    """Frequencies (K,) [rad/s] of eigenvalues near the imaginary axis, DC, and points between and above them.
 
-    It is empty when no eigenvalue of ``hamiltonian`` (2n, 2n) lies there. ``scale``: ‖A‖ of the system.
+    The result is empty when no eigenvalue of ``hamiltonian`` (2n, 2n) lies near the axis. ``scale`` is ‖A‖ of
+    the system.
     """
     eigenvalues = np.linalg.eigvals(hamiltonian)
     cross = np.unique(np.abs(eigenvalues.imag[near_axis(eigenvalues, scale)]))

@@ -1,10 +1,10 @@
 """The ν-gap between two plants and its robust-stability margin (THEORY 7.10).
 
 With normalised coprime factors G₁ = [N₁; M₁] and G̃₂ = [−M̃₂, Ñ₂] the chordal distance of two plants at a
-frequency is σ̄(G̃₂G₁). Where det(I + P₂ᴴP₁) has the right winding number the ν-gap is ‖G̃₂G₁‖∞, and 1
-otherwise. A controller with b(P₁, K) > ν(P₁, P₂) stabilises P₂ too. Both norms are bracketed over all
-frequencies. The factors come from Riccati equations. So the distance of the plants' own responses is held
-against theirs.
+frequency is σ̄(G̃₂G₁). The ν-gap is ‖G̃₂G₁‖∞ if det(I + P₂ᴴP₁) has the right winding number, and 1 otherwise.
+A controller with b(P₁, K) > ν(P₁, P₂) stabilises P₂ too. Both norms are bracketed over all frequencies. The
+factors come from Riccati equations. A check compares their distance with the distance of the plants'
+responses.
 """
 
 import numpy as np
@@ -16,7 +16,7 @@ from lpvguard.engine.synthesis.statespace import StateSpace, balanced, lft, same
 
 NORM_RTOL = 1e-6
 DISTANCE_ATOL = 1e-6
-"""Largest difference between the chordal distance of the plants and that of their factors, of at most 1."""
+"""Largest difference between the chordal distances (at most 1) of the plants and of their factors."""
 
 
 def nu_gap(first: StateSpace, second: StateSpace) -> NormBracket:
@@ -42,7 +42,7 @@ def nu_gap(first: StateSpace, second: StateSpace) -> NormBracket:
     same_time(first, second)
     if first.D.shape != second.D.shape:
         raise SynthesisError(
-            "nu_gap", "second", f"{second.D.shape} system", f"{first.D.shape}, the first's shape"
+            "nu_gap", "second", f"{second.D.shape} system", f"{first.D.shape}, the shape of the first plant"
         )
     dt = first.dt
     P1, P2 = (balanced(to_continuous(balanced(P))) for P in (first, second))
@@ -66,7 +66,7 @@ def nu_margin(plant: StateSpace, controller: StateSpace) -> float:
 
     Returns
     -------
-    float, from the upper end of the norm's bracket, 0 for an unstable loop
+    float, proved lower bound of b, 0 for an unstable loop
 
     References
     ----------
@@ -82,9 +82,9 @@ def nu_margin(plant: StateSpace, controller: StateSpace) -> float:
 
 
 def _require_distance(P1: StateSpace, P2: StateSpace, chordal: StateSpace, peak: float) -> None:
-    """Raise SynthesisError unless the plants' own distance is that of their factors.
+    """Raise SynthesisError unless the plants and their factors have the same chordal distance.
 
-    It is looked at at ``peak`` [rad/s], zero, infinity, and the frequencies of the plants' poles.
+    The check uses ``peak`` [rad/s], zero, infinity, and the frequencies of the plants' poles.
     """
     omega = np.unique(np.concatenate([[0.0, peak, np.inf], np.abs(P1.poles()), np.abs(P2.poles())]))
     omega = omega[[_has_response(P1, w) and _has_response(P2, w) for w in omega]]
@@ -95,13 +95,13 @@ def _require_distance(P1: StateSpace, P2: StateSpace, chordal: StateSpace, peak:
             raise SynthesisError(
                 "nu_gap",
                 f"{w:.6g} rad/s",
-                f"not proved: the distance is {distance:.7g}, that of the factors {size:.7g}",
+                f"not proved: the plants' distance is {distance:.7g}, that of their factors {size:.7g}",
                 "plants whose inputs and outputs are scaled to like sizes",
             )
 
 
 def _has_response(P: StateSpace, omega: float) -> bool:
-    """Tell whether P has no pole within rounding of j ``omega``."""
+    """Return whether P has no pole within rounding of j ``omega``."""
     return not P.order or np.isinf(omega) or np.abs(P.poles() - 1j * omega).min() > 1e-9 * max(omega, 1.0)
 
 
@@ -111,10 +111,10 @@ def _root(G: np.ndarray) -> np.ndarray:
 
 
 def _unstable_zeros(P1: StateSpace, P2: StateSpace) -> int:
-    """Zeros of det(I + P₂(−s)ᵀ P₁(s)) with a positive real part.
+    """Number of zeros of det(I + P₂(−s)ᵀ P₁(s)) with a positive real part, -1 for a zero at infinity.
 
-    The winding number is right if their number is P₂'s order. A zero on the axis, or at infinity (-1), is a
-    distance of 1, which the norm shows.
+    The winding number is right if this number is the order of P₂. A zero on the axis means a chordal distance
+    of 1, which the norm shows.
     """
     adjoint = StateSpace(-P2.A.T, -P2.C.T, P2.B.T, P2.D.T)
     H = series(adjoint, P1)
@@ -127,7 +127,7 @@ def _unstable_zeros(P1: StateSpace, P2: StateSpace) -> int:
 
 
 def _right_factor(P: StateSpace) -> StateSpace:
-    """[N; M], normalised."""
+    """Normalised right factors [N; M] of P."""
     R = np.eye(P.n_inputs) + P.D.T @ P.D
     F = _gain(P)
     root = np.linalg.inv(np.linalg.cholesky(R)).T
@@ -137,7 +137,7 @@ def _right_factor(P: StateSpace) -> StateSpace:
 
 
 def _left_factor(P: StateSpace) -> StateSpace:
-    """[−M̃, Ñ], normalised."""
+    """Normalised left factors [−M̃, Ñ] of P."""
     dual = StateSpace(P.A.T, P.C.T, P.B.T, P.D.T)
     S = np.eye(P.n_outputs) + P.D @ P.D.T
     H = _gain(dual).T
@@ -151,7 +151,7 @@ def _left_factor(P: StateSpace) -> StateSpace:
 
 
 def _gain(P: StateSpace) -> np.ndarray:
-    """F (m, n) of the normalised right factors."""
+    """State feedback F (m, n) of the normalised right factors."""
     R = np.eye(P.n_inputs) + P.D.T @ P.D
     if not P.order:
         return np.zeros((P.n_inputs, 0))

@@ -1,8 +1,8 @@
-"""The generalised plant for the Riccati equations: continuous, in blocks, without D22; and whether a
-stabilising controller exists.
+"""Continuous generalised plant in blocks, for the Riccati equations, and the test for a stabilising
+controller.
 
-A discrete plant comes here as its bilinear image, which has no pole at z = −1. D22 is left out and put back
-into the controller afterwards.
+A discrete plant is replaced by its bilinear image, after a feedback that removes poles at z = −1. D22 is left
+out of the plant and is considered in the controller afterwards.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ class Plant:
     """The continuous generalised plant x' = A x + B1 w + B2 u, z = C1 x + D11 w + D12 u, y = C2 x + D21 w.
 
     A (n, n), B1 (n, m1), B2 (n, m2), C1 (p1, n), C2 (p2, n), D11 (p1, m1), D12 (p1, m2), D21 (p2, m1). D22 is
-    zero: ``absorb_feedthrough`` puts it back.
+    zero; ``absorb_feedthrough`` changes the controller to one for a plant with D22.
     """
 
     A: np.ndarray
@@ -34,12 +34,13 @@ class Plant:
 
     @property
     def dual(self) -> Plant:
-        """The transposed plant: its control side is the filter side of this one."""
+        """The transposed plant. Its control side is the filter side of this plant."""
         return Plant(self.A.T, self.C1.T, self.C2.T, self.B1.T, self.B2.T, self.D11.T, self.D21.T, self.D12.T)
 
 
 def check_shape(plant: StateSpace, n_control: int, n_measurement: int) -> None:
-    """SynthesisError unless at least one input and one output remain beside the controls and measurements."""
+    """Raise SynthesisError unless the plant has an input besides the controls and an output besides the
+    measurements."""
     for name, count, available, kind in (
         ("n_control", n_control, plant.n_inputs, "inputs"),
         ("n_measurement", n_measurement, plant.n_outputs, "outputs"),
@@ -49,16 +50,16 @@ def check_shape(plant: StateSpace, n_control: int, n_measurement: int) -> None:
                 "generalised plant",
                 name,
                 f"{count}",
-                f"a whole number from 1 to {available - 1}: the plant has {available} {kind}",
+                f"a whole number from 1 to {available - 1}, because the plant has {available} {kind}",
             )
 
 
 def move_pole_at_minus_one(
     plant: StateSpace, n_control: int, n_measurement: int
 ) -> tuple[np.ndarray, StateSpace]:
-    """A static feedback K0 (m2, p2) and the plant closed with it: u = K0 y + ũ clears z = −1 of poles.
+    """A static feedback u = K0 y + ũ that removes poles at z = −1: K0 (m2, p2) and the plant closed with it.
 
-    K0 is zero where there is no such pole, so for every continuous plant.
+    K0 is zero where there is no such pole, and for every continuous plant.
     """
     shift = np.zeros((n_control, n_measurement))
     if not plant.dt or plant.order == 0 or np.abs(plant.poles() + 1).min() > 1e-6:
@@ -77,7 +78,7 @@ def move_pole_at_minus_one(
 
 
 def partition(plant: StateSpace, n_u: int, n_y: int) -> tuple[Plant, np.ndarray]:
-    """Blocks of a plant whose last signals are u (n_u,) and y (n_y,); and D22 (n_y, n_u)."""
+    """Blocks of a plant, and D22 (n_y, n_u). The last inputs are u (n_u,), the last outputs y (n_y,)."""
     w, u = slice(0, plant.n_inputs - n_u), slice(plant.n_inputs - n_u, None)
     z, y = slice(0, plant.n_outputs - n_y), slice(plant.n_outputs - n_y, None)
     A, B, C, D = plant.A, plant.B, plant.C, plant.D
@@ -85,7 +86,7 @@ def partition(plant: StateSpace, n_u: int, n_y: int) -> tuple[Plant, np.ndarray]
 
 
 def absorb_feedthrough(K: StateSpace, D22: np.ndarray) -> StateSpace:
-    """K (I + D22 K)⁻¹: the controller for the plant with D22, from the one designed without."""
+    """Controller K (I + D22 K)⁻¹ for the plant with D22, from K for the plant without D22."""
     if not np.any(D22):
         return K
     S = np.linalg.inv(np.eye(D22.shape[0]) + D22 @ K.D)
@@ -95,7 +96,7 @@ def absorb_feedthrough(K: StateSpace, D22: np.ndarray) -> StateSpace:
 def check_existence(P: Plant, plant: StateSpace) -> None:
     """Popov–Belevitch–Hautus test of (A, B2) and (C2, A) at every pole that is not strictly stable.
 
-    SynthesisError names the pole of ``plant``, the given plant, and the missing property.
+    Raises SynthesisError with the pole of the given ``plant`` and the missing property.
     """
     if P.A.size == 0:
         return
@@ -115,10 +116,10 @@ def check_existence(P: Plant, plant: StateSpace) -> None:
                     "generalised plant",
                     what,
                     f"{missing} the pole at {shown:.6g}",
-                    f"{change}, or that mode left out of the plant (an integrating weight made a slow lag)",
+                    f"{change}, or a plant without this mode (a slow lag in place of an integrating weight)",
                 )
 
 
 def _to_point(pole: complex, plant: StateSpace) -> complex:
-    """A pole of the continuous image as a pole of ``plant`` (z-plane for a discrete one)."""
+    """Pole of ``plant`` (in the z-plane for a discrete one) from the pole of its continuous image."""
     return (2 / plant.dt + pole) / (2 / plant.dt - pole) if plant.dt else pole

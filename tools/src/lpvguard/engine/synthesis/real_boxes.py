@@ -1,14 +1,14 @@
 """Proof of μ < β by D, G scalings on boxes of real parameters and cells of frequencies (THEORY 6.2).
 
-μ(M(jω)) < β on an interval of frequencies exactly when I − M(jω) Δ is regular there for every Δ of size 1/β.
-The real parameters δ of such Δ fill a box. On a part of it, centre c and half widths r,
+μ(M(jω)) < β holds on an interval of frequencies exactly when I − M(jω) Δ is regular there for every Δ of size
+1/β. The real parameters δ of such Δ fill a box. On a part of this box with centre c and half widths r,
 
     I − M Δ = (I − M Δ_c)(I − M_c Δ̃),   M_c = (I − M Δ_c)⁻¹ M S,   Δ = Δ_c + S Δ̃,
 
 with S = r for real blocks and 1/β for complex ones, and Δ̃ of size 1. Scalings D, G of M_c prove the part
-(``mu_upper``). Where none are found the part is halved (de Gaston & Safonov 1988; Newlin & Young 1997). As
-parts shrink, the gap that real blocks leave vanishes. A proof holds for every larger β, because its boxes
-then contain what is asked.
+(``mu_upper``). A part without such scalings is halved (de Gaston & Safonov 1988; Newlin & Young 1997). The
+gap of the scalings with real blocks vanishes as the parts shrink. A proof also holds for every larger β,
+because its boxes contain the smaller box of that β.
 """
 
 from __future__ import annotations
@@ -34,11 +34,11 @@ from lpvguard.engine.synthesis.statespace import StateSpace
 from lpvguard.engine.synthesis.structure import Structure
 
 CHECKS = 60
-"""Frequencies over the decades of the poles at which each proof is tested besides."""
+"""Number of additional test frequencies of each proof, over the decades of the poles."""
 WIDE = 4.0
-"""Ratio of a part's frequencies above which they are halved before its box is."""
+"""A part with a larger ratio of its frequencies is halved in frequency before its box is halved."""
 MANY = 8.0
-"""Cells that a part would take as wide as the first, above which its halves are asked for theirs."""
+"""If a part would need more cells as wide as the first, the cells of its halves are tried."""
 
 
 @dataclass(frozen=True)
@@ -59,7 +59,7 @@ class ParameterBox:
         return 0.5 * (self.high - self.low)
 
     def within(self, size: float) -> ParameterBox | None:
-        """Return the part with |δ_i| ≤ ``size``; None where there is none."""
+        """Return the part of the box with |δ_i| ≤ ``size``, or None where it is empty."""
         low, high = np.maximum(self.low, -size), np.minimum(self.high, size)
         return ParameterBox(low, high) if (low < high).all() else None
 
@@ -72,12 +72,12 @@ class ParameterBox:
 
 
 class Shift:
-    """The change of a loop to the Δ̃ of one box.
+    """Transformation of a loop with Δ into a loop with the Δ̃ of one box.
 
     Parameters
     ----------
     structure : Structure
-    box : ParameterBox, of the real blocks' parameters, in their order
+    box : ParameterBox, of the parameters of the real blocks, in the order of the blocks
     size : float, size of complex blocks, 1/β
     """
 
@@ -92,15 +92,18 @@ class Shift:
                 self.scale[c] = radius
 
     def matrix(self, M: np.ndarray, moved: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return M_c of M, shape (Σcols, Σrows), and the rounding of its entries from ``moved`` of M's."""
+        """Return M_c of M, shape (Σcols, Σrows), and the rounding of its entries from the rounding ``moved``
+        of M."""
         opened = np.linalg.inv(np.eye(len(M)) - M @ self.offset)
-        with np.errstate(over="ignore", invalid="ignore"):  # of a Δ without end: it is refused as not finite
+        with np.errstate(
+            over="ignore", invalid="ignore"
+        ):  # for an infinite Δ, which is refused as not finite
             shifted = opened @ M * self.scale
             entries = np.abs(opened) @ moved
             return shifted, entries * self.scale + entries @ np.abs(self.offset) @ np.abs(shifted)
 
     def system(self, G: StateSpace) -> StateSpace:
-        """Return the loop whose response is M_c of that of ``G``."""
+        """Return the loop whose response is M_c, for a loop ``G`` with the response M."""
         opened = np.linalg.inv(np.eye(G.n_outputs) - G.D @ self.offset)
         fed = self.offset @ opened
         return StateSpace(
@@ -119,14 +122,14 @@ def proved_at(
     Parameters
     ----------
     M : ndarray, shape (Σcols, Σrows)
-    moved : ndarray, shape (Σcols, Σrows), rounding of its entries
+    moved : ndarray, shape (Σcols, Σrows), rounding of the entries of M
     structure : Structure
-    slack : float, share by which the bound should fall below 1; the search ends there
+    slack : float, the search for scalings ends at a bound this far below 1
     nearby : PointBound or None, scalings to try first
 
     Returns
     -------
-    PointBound or None, None where the scalings that were found prove nothing
+    PointBound, or None where no tried scalings prove it
     """
     if not np.isfinite(M).all():
         return None
@@ -147,9 +150,9 @@ def proved_at(
 
 @dataclass(frozen=True)
 class Part:
-    """A box on frequencies from ``low`` to ``high`` [rad/s], continuous time.
+    """A box of parameters for frequencies from ``low`` to ``high`` [rad/s], continuous time.
 
-    ``point`` are the scalings that prove it; of a part to be proved, those of a neighbour, if any.
+    ``point`` holds the scalings that prove the part. Before its proof it holds those of a neighbour, if any.
     """
 
     box: ParameterBox
@@ -165,7 +168,7 @@ class Prover:
     ----------
     loop : StateSpace or ndarray, a loop in continuous time, or M, shape (Σcols, Σrows), at one frequency
     structure : Structure
-    slack : float, as in ``proved_at``
+    slack : float, parameter of ``proved_at``
     """
 
     def __init__(self, loop: StateSpace | np.ndarray, structure: Structure, slack: float = 0.0):
@@ -188,9 +191,9 @@ class Prover:
 
         Returns
         -------
-        proved : Part or None, None where no scalings were found
-        rest : list of Part, what remains to be proved
-        omega : float, frequency [rad/s] at which scalings were looked for
+        proved : Part, or None where no scalings prove a cell
+        rest : list of Part, parts that remain to be proved
+        omega : float, frequency [rad/s] of the search for scalings
         """
         shift = Shift(self.structure, part.box, 1 / beta)
         centre, M = self._centre(part), None
@@ -215,11 +218,12 @@ class Prover:
         return None, self._halves(part, M), centre
 
     def _wider(self, part: Part, proved: Part, M: np.ndarray, omega: float, beta: float) -> list[Part]:
-        """Return the halves of ``part``'s box with their scalings at ``omega`` [rad/s], where cells of both
-        together prove ``part`` sooner than cells like ``proved`` do; else nothing.
+        """Return the halves of ``part``'s box with their scalings at ``omega`` [rad/s], if they need fewer
+        cells.
 
-        Where an eigenvalue of M Δ is nearly real all along, scalings that reach so far hold on narrow cells
-        alone. M is that of the whole box.
+        The result is empty if cells like ``proved`` are at least as fast. If an eigenvalue of M Δ is nearly
+        real at all frequencies of the part, scalings of the whole box hold only on narrow cells. M belongs to
+        the whole box.
         """
         width = self._width(proved)
         if not 0 < width < self._width(part) / MANY:
@@ -239,15 +243,15 @@ class Prover:
         return halves if cells * width < 1 else []
 
     def _width(self, part: Part) -> float:
-        """Return the logarithmic width of ``part``'s frequencies, of those about the poles."""
+        """Return the logarithmic width of ``part``'s frequencies, within the decades of the poles."""
         low, high = np.clip((part.low, part.high), 0.1 * self.slowest, 10 * self.fastest)
         return float(np.log(high / low))
 
     def verified(self, parts: Sequence[Part], beta: float, low: float, high: float) -> bool:
-        """Tell whether ``parts`` prove μ < ``beta`` from ``low`` to ``high`` [rad/s].
+        """Return whether ``parts`` prove μ < ``beta`` from ``low`` to ``high`` [rad/s].
 
-        Each part's scalings are tested anew on its box and frequencies, and the parts together contain every
-        Δ of size 1/β at every frequency.
+        The scalings of each part must pass a new test on its box and frequencies. The parts together must
+        contain every Δ of size 1/β at every frequency.
         """
         for part in parts:
             if part.point is None:
@@ -268,7 +272,7 @@ class Prover:
         return _contain(corners, np.append(-size, low), np.append(size, high))
 
     def _reached(self, shift: Shift, within: FrequencyCell, omega: float) -> tuple[float, float]:
-        """Frequencies of the cell about ``omega``, within the cell ``within``, that its scalings prove."""
+        """Ends of the cell around ``omega`` on which the scalings of ``within`` hold, inside ``within``."""
         if not isinstance(self.loop, StateSpace):
             return within.low, within.high
 
@@ -282,19 +286,21 @@ class Prover:
             return False
 
     def _holds(self, shift: Shift, low: float, high: float, point: PointBound) -> bool:
-        """Tell whether the scalings hold at those frequencies of ``checked`` that lie in [low, high]."""
+        """Return whether the scalings hold at the frequencies of ``checked`` in [low, high]."""
         inside = self.checked[(self.checked >= low) & (self.checked <= high)]
         return all(self._positive(shift, point, omega) for omega in inside)
 
     def _is_narrow(self, part: Part) -> bool:
-        """Tell whether M hardly changes over ``part``: ever smaller cells would not end at its borders."""
+        """Return whether M hardly changes over ``part``. Cells that leave a rest of such a part would never
+        end."""
         return (
             part.high <= max(part.low * (1 + self.slack), self.slack * self.slowest)
             or part.low * self.slack >= self.fastest
         )
 
     def _centre(self, part: Part) -> float:
-        """Return a frequency [rad/s] of ``part``: its middle; of a narrow one the end where M is real."""
+        """Return a frequency [rad/s] of ``part``: its middle, or for a narrow part at 0 or infinity this
+        end."""
         if part.low == part.high or (part.low == 0.0 and self._is_narrow(part)):
             return part.low
         if np.isinf(part.high) and self._is_narrow(part):
@@ -302,14 +308,14 @@ class Prover:
         return middle(part.low, part.high, self.fastest)
 
     def _halves(self, part: Part, M: np.ndarray | None) -> list[Part]:
-        """Halve the frequencies of a wide part, else its box."""
+        """Halve the frequency interval of a wide part, or else its box."""
         if part.high > max(WIDE * part.low, self.slowest) and part.low < self.fastest:
             omega = middle(part.low, part.high, self.fastest)
             return [replace(part, high=omega, point=None), replace(part, low=omega, point=None)]
         return self._halved_box(part, M)
 
     def _halved_box(self, part: Part, M: np.ndarray | None) -> list[Part]:
-        """Halve the box of ``part`` across the parameter that moves M most."""
+        """Halve the box of ``part`` across the parameter with the largest effect on M."""
         weight = part.box.radius
         if M is not None:
             s = self.structure
@@ -324,7 +330,8 @@ class Prover:
 
 
 def _contain(boxes: Sequence[tuple[np.ndarray, np.ndarray]], low: np.ndarray, high: np.ndarray) -> bool:
-    """Tell whether ``boxes`` (low, high) contain the box from ``low`` to ``high`` together, all (d,)."""
+    """Return whether the union of ``boxes`` (low, high) contains the box from ``low`` to ``high``, all
+    (d,)."""
     near = [(a, b) for a, b in boxes if (a <= high).all() and (b >= low).all()]
     if any((a <= low).all() and (b >= high).all() for a, b in near):
         return True

@@ -1,14 +1,14 @@
 """Lower bound of μ for real parameters: the smallest δ that makes I − M(jω) Δ singular, and its frequency.
 
-A loop with real parameters alone becomes singular at single frequencies, where an eigenvalue of M(jω) Δ
-crosses the real axis. A grid of frequencies would miss them, and the power iteration sees one frequency. Here
-δ and ω move together. With left and right null vectors y, x of I − M Δ the condition is linear to first
-order,
+A loop with only real parameters becomes singular at single frequencies, where an eigenvalue of M(jω) Δ
+crosses the real axis. A grid of frequencies would miss them, and the power iteration works at one frequency.
+Here δ and ω change together. With left and right null vectors y, x of I − M Δ the condition is linear to
+first order,
 
     yᴴ (I − M(jω) Δ) x + Σ_i δ̇_i ∂_i + ω̇ ∂_ω = 0,
 
-and the δ of least largest entry that satisfies it has a closed form. The iteration repeats that step. What it
-returns is checked: I − M Δ is singular for an M that differs from the given one by rounding.
+and its solution δ with the smallest max_i |δ_i| has a closed form. The iteration repeats this step. A check
+ensures that I − M Δ is singular for an M that differs from the given M by rounding only.
 """
 
 from collections.abc import Callable
@@ -21,12 +21,13 @@ from lpvguard.engine.synthesis.statespace import EPS
 from lpvguard.engine.synthesis.structure import Structure
 
 ROUNDING = 64 * EPS
-"""Relative rounding of the entries of M that every bound with real parameters allows for."""
+"""Relative rounding error of the entries of M that is allowed in every bound with real parameters."""
 STEPS, RESTORING = 25, 8
 LONGEST, SHORTENED = 0.5, 0.8
-"""Longest step of δ over its largest entry, and of ω over ω; each step's over that of the step before."""
+"""Longest first step, relative to max |δ_i| and to ω, and the factor by which each further step is
+shorter."""
 NEARBY = 1e-5
-"""Relative step of ω by which the derivative of M is taken."""
+"""Relative step of ω in the numerical derivative of M."""
 
 
 @dataclass(frozen=True)
@@ -35,9 +36,9 @@ class Crossing:
 
     Attributes
     ----------
-    value : float, 1 / max_i |δ_i|, a lower bound of μ at ``omega``; 0 where nothing was found
+    value : float, 1 / max_i |δ_i|, a lower bound of μ at ``omega``; 0 where the search failed
     omega : float, frequency in rad/s
-    delta : ndarray or None, Δ, shape (Σrows, Σcols)
+    delta : ndarray (Σrows, Σcols), or None where the search failed
     """
 
     value: float
@@ -49,10 +50,11 @@ NOTHING = Crossing(0.0, np.nan, None)
 
 
 def is_singular(M: np.ndarray, delta: np.ndarray, moved: np.ndarray) -> bool:
-    """Tell whether I − M' Δ is singular for some M' within rounding ``moved`` of M (p, m); Δ is (m, p).
+    """Return whether I − M' Δ is singular for some M' within rounding ``moved`` of M (p, m), with Δ (m, p).
 
-    Signals are scaled first, so that the answer does not depend on their units. With the null vectors y, x a
-    rank-one change of M Δ of size σ_min suffices; |yᴴ dM Δ x| reaches |y|ᵀ ``moved`` |Δ| |x|.
+    Signals are scaled first, so that the result does not depend on their units. With the singular vectors y,
+    x of σ_min, a rank-one change of M Δ of size σ_min makes the matrix singular. Rounding allows a change |yᴴ
+    dM Δ x| of up to |y|ᵀ ``moved`` |Δ| |x|.
     """
     closed = M @ delta
     scale = sl.matrix_balance(np.abs(closed), permute=False, separate=True)[1][0]
@@ -62,12 +64,12 @@ def is_singular(M: np.ndarray, delta: np.ndarray, moved: np.ndarray) -> bool:
 
 
 def least_parameters(A: np.ndarray, b: np.ndarray, free: np.ndarray | None) -> tuple[np.ndarray, float]:
-    """Solve A δ + free s = b for the δ (k,) of least largest entry; NaN where there is no solution, s is 0
-    without ``free``.
+    """Solve A δ + free s = b for the δ (k,) with the smallest max_i |δ_i|. Returns δ and s.
 
-    A (2, k) is one complex equation by its parts, or (1, k) a real one. ``free`` (2,) is the column of a
-    variable that costs nothing. The dual is max λᵀb / ‖Aᵀλ‖₁ with λ orthogonal to ``free``; without it λ is
-    orthogonal to a column.
+    A (2, k) holds the real and imaginary parts of one complex equation, or (1, k) one real equation. ``free``
+    (2,) is the column of the variable s, whose size does not count; without ``free`` s is 0. δ is NaN where
+    there is no solution. The dual problem is max λᵀb / ‖Aᵀλ‖₁ with λ orthogonal to ``free``. Without ``free``
+    the optimal λ is orthogonal to one column of A.
     """
     k = A.shape[1]
     if len(A) == 1:
@@ -100,9 +102,9 @@ def least_parameters(A: np.ndarray, b: np.ndarray, free: np.ndarray | None) -> t
 def nearest_parameters(
     A: np.ndarray, b: np.ndarray, free: np.ndarray | None, delta: np.ndarray, omega: float
 ) -> tuple[np.ndarray, float]:
-    """Solve A δ + free s = b for the δ nearest to ``delta`` (k,); s is weighed by 1 / ``omega`` [rad/s].
+    """Solve A δ + free s = b for the δ nearest to ``delta`` (k,), with s weighted by 1 / ``omega`` [rad/s].
 
-    A, b, ``free`` and what is returned are as in ``least_parameters``: (2, k) or (1, k), (2,) or (1,), (2,).
+    A (2, k) or (1, k), b (2,) or (1,), ``free`` (2,) and the result are those of ``least_parameters``.
     """
     if free is None:
         return delta + np.linalg.pinv(A) @ (b - A @ delta), 0.0
@@ -112,8 +114,10 @@ def nearest_parameters(
 
 
 class RealSearch:
-    """Search for the smallest real Δ of a loop with real blocks alone, from ``low`` to ``high`` [rad/s].
-    ``response`` takes a frequency [rad/s] to M (Σcols, Σrows) and the rounding of its entries."""
+    """Search for the smallest real Δ of a loop with only real blocks, from ``low`` to ``high`` [rad/s].
+
+    ``response`` returns M (Σcols, Σrows) at a frequency [rad/s], and the rounding of its entries.
+    """
 
     def __init__(
         self,
@@ -126,11 +130,11 @@ class RealSearch:
         self.sizes = [b.rows for b in structure.blocks]
 
     def delta(self, parameters: np.ndarray) -> np.ndarray:
-        """Δ, shape (Σrows, Σrows), of ``parameters``, shape (k,)."""
+        """Δ, shape (Σrows, Σrows), with the values ``parameters``, shape (k,)."""
         return np.diag(np.repeat(parameters, self.sizes))
 
     def polished(self, parameters: np.ndarray, omega: float) -> Crossing:
-        """Return the best crossing that is reached from ``parameters`` (k,) at ``omega`` [rad/s]."""
+        """Return the best crossing of a search from ``parameters`` (k,) at ``omega`` [rad/s]."""
         best = NOTHING
         for moving in (True, False) if self.low < omega < self.high else (False,):
             for steps in (0, STEPS):
@@ -139,7 +143,7 @@ class RealSearch:
         return best
 
     def _reached(self, delta: np.ndarray, omega: float, moving: bool, steps: int) -> Crossing:
-        """Take ``steps`` towards a smaller δ, ever shorter ones, then the nearest δ that is singular."""
+        """Take ``steps`` ever shorter steps towards a smaller δ, and then find the nearest singular δ."""
         longest = LONGEST
         for step in range(steps + RESTORING):
             M, moved = self.response(omega)
@@ -167,7 +171,8 @@ class RealSearch:
     def _equation(
         self, M: np.ndarray, delta: np.ndarray, omega: float | None
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
-        """Rows (2, k) or (1, k), right side and column of ω of yᴴ (I − M Δ) x = 0, linear in new δ and dω."""
+        """The condition yᴴ (I − M Δ) x = 0, linear in the new δ and dω: A (2, k) or (1, k), b, and column of
+        dω."""
         if omega is None and not M.imag.any():
             M = M.real
         loop = np.eye(len(M)) - M @ self.delta(delta)
@@ -184,13 +189,12 @@ class RealSearch:
         return parts(slope), parts(rhs), along
 
     def starts(self, omega: np.ndarray, count: int, real_part: float = 1.0) -> list[tuple[np.ndarray, float]]:
-        """Return (δ, ω) near which a Δ of equal |δ_i| is singular, the smallest δ first, over a grid
-        ``omega`` (K,) [rad/s].
+        """Return starts (δ, ω) of the search on a grid ``omega`` (K,) [rad/s], the smallest δ first.
 
-        An eigenvalue of M(jω) Q, with Q of entries ±1, marks a start in two cases. Its real part has at least
-        the share ``real_part`` of its size, or it changes the side of the real axis before the next
-        frequency. ``count`` starts are wanted where M is real, and as many elsewhere: an eigenvalue may be
-        nearly real all around.
+        All |δ_i| of a start are equal. Q has the entries ±1. An eigenvalue of M(jω) Q marks a start in two
+        cases. Its real part is at least ``real_part`` times its magnitude, or it crosses the real axis before
+        the next frequency. At most ``count`` starts have a real M, and as many have another M, because an
+        eigenvalue may be nearly real over a wide range.
         """
         M = np.array([self.response(w)[0] for w in omega])
         finite = np.isfinite(M).all((1, 2))
@@ -213,7 +217,7 @@ class RealSearch:
 
 
 def _signs(k: int) -> np.ndarray:
-    """Combinations of ±1, shape (at most 64, k), the first entry 1; all of them for k ≤ 7."""
+    """Combinations of ±1, shape (at most 64, k), with the first entry 1. For k ≤ 7 they are complete."""
     varied = min(k, 7) - 1
     signs = np.ones((2**varied, k))
     for i in range(varied):

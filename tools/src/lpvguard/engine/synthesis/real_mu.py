@@ -1,8 +1,9 @@
-"""μ with real parameters, between a Δ that is checked and a level that is proved (THEORY 6.2).
+"""Bounds of μ with real parameters: a checked Δ and a proved level (THEORY 6.2).
 
-The lower bound is a Δ that makes I − M(jω) Δ singular (``real_crossings``, ``mu_lower``). The upper bound is
-a level a little above it, proved on boxes of the parameters and cells of frequencies (``real_boxes``). Where
-a part resists, a larger lower bound is searched for from there, and the level rises with what is found.
+The lower bound is that of a Δ that makes I − M(jω) Δ singular (``real_crossings``, ``mu_lower``). The upper
+bound is a level slightly above it, proved on boxes of the parameters and cells of frequencies
+(``real_boxes``). Where a part cannot be proved, a search from this part may raise the lower bound and with it
+the level.
 """
 
 from dataclasses import dataclass
@@ -19,22 +20,23 @@ from lpvguard.engine.synthesis.statespace import StateSpace
 from lpvguard.engine.synthesis.structure import Structure
 
 FIRST_PARTS, MOST_PARTS, MOST_MIXED, MORE_PARTS = 200, 1000, 300, 40
-"""Parts tried for the gap that is asked; for ``RELAXED``, with real blocks alone and with others beside; and
-at each level after that."""
+"""Largest number of parts: for the requested gap; for ``RELAXED`` with only real blocks; for ``RELAXED`` with
+other blocks too; at each further level."""
 RELAXED = 9e-3
-"""Gap that is aimed at where parts are many: μ counts as known up to 1 % (``mu.RESOLVED``)."""
+"""Gap that is accepted where the parts are many. μ counts as resolved with a gap of up to 1 %
+(``mu.RESOLVED``)."""
 RAISE = 0.05
-"""Share by which the level is raised then; it doubles from level to level."""
+"""First relative increase of the level after too many parts. It doubles from level to level."""
 ZERO = 1e-6
-"""A μ below this share of the loop's size counts as zero; the level proved then is that share."""
+"""A μ below this share of the loop's size counts as zero, and the proved level is this share."""
 NARROW, COARSE = 1e-8, 1e-2
-"""Half width of a box in shares of 1/β below which rounding decides where it resists. From then on the level
-is raised where a box of the second one resists."""
+"""Half widths of a box relative to 1/β. If a box narrower than ``NARROW`` cannot be proved, the reason is
+rounding, and the level is raised. From then on ``COARSE`` replaces ``NARROW``."""
 GRID, STARTS, AT_PEAKS = 120, 8, 3
 MISSES = 6
-"""Searches at one frequency, one after the other, that find nothing better: there are no more then."""
+"""The searches at one frequency end after this number of searches in sequence without success."""
 FIRST, LATER = 4, 8
-"""Parts that resist from which a better lower bound is searched for: the first ones, then every so many."""
+"""A search for a better lower bound starts from each of the first unproved parts, then from every eighth."""
 
 
 @dataclass(frozen=True)
@@ -75,12 +77,13 @@ def real_mu(
     loop : StateSpace or ndarray
         A stable loop in continuous time, or M, shape (Σcols, Σrows), at one frequency.
     structure : Structure
-    low, high : float, interval in rad/s; equal for one frequency
+    low, high : float, interval in rad/s, both equal for one frequency
     rtol : float
-        Share by which the upper bound should exceed the lower at most. Where the parts that are allowed do
-        not suffice it exceeds it by more.
+        Target of the relative gap between the bounds. The gap is larger where the allowed number of parts is
+        too small.
     least : float, level from which the search begins
-    known : float, level that is proved already: the search ends there, and what it returns has no proof
+    known : float, level that is proved already
+        The search ends at this level, and its result then has no proof.
     """
     prover = Prover(loop, structure, 0.4 * rtol)
     grid = _grid(loop, low, high)
@@ -120,7 +123,7 @@ def real_mu(
 
 
 class _LowerSearch:
-    """Search for a Δ of a loop with real blocks; ``best`` is the smallest so far."""
+    """Search for the smallest Δ of a loop with real blocks. ``best`` is the smallest so far."""
 
     def __init__(self, prover: Prover, low: float, high: float):
         self.prover, self.one_frequency = prover, low == high
@@ -149,7 +152,7 @@ class _LowerSearch:
                 self._at_frequency(omega)
 
     def improve(self, part: Part, omega: float) -> bool:
-        """Search from a part that resists; tell whether ``best`` became better."""
+        """Search from a part that could not be proved. Returns whether ``best`` became better."""
         before = self.best.value
         if part.box.centre.any():
             self._from_parameters(part.box.centre, omega)
@@ -186,7 +189,7 @@ class _LowerSearch:
 
 
 def _grid(loop: StateSpace | np.ndarray, low: float, high: float) -> np.ndarray:
-    """Frequencies (K,) [rad/s] of [low, high]: both ends, the decades of the poles, and about each pole."""
+    """Grid (K,) [rad/s] of [low, high]: both ends, the decades of the poles, and points near each pole."""
     if not isinstance(loop, StateSpace):
         return np.array([low])
     poles = np.abs(loop.poles()) if loop.order else np.ones(1)

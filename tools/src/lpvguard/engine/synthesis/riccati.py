@@ -1,8 +1,8 @@
 """The two Riccati equations of H∞ synthesis at a level γ (Zhou, Doyle & Glover 1996, section 17.1).
 
-Each is one side of the problem: the control side of the plant, the filter side as that of its dual. The
-stabilising solution comes from the stable invariant subspace of a balanced Hamiltonian. Where nearly free
-controls make that inaccurate, it comes from the extended pencil.
+One equation belongs to the control side of the plant, the other to its filter side, which is the control side
+of the dual plant. The stabilising solution comes from the stable invariant subspace of a balanced
+Hamiltonian. Where nearly free controls make this solution inaccurate, it comes from the extended pencil.
 """
 
 from __future__ import annotations
@@ -20,13 +20,15 @@ from lpvguard.engine.synthesis.partition import Plant
 from lpvguard.engine.synthesis.statespace import EPS, StateSpace
 
 STIFF = 1e4
-"""A Hamiltonian this much larger than the plant's A has lost digits to nearly free controls."""
+"""A Hamiltonian larger than this multiple of the plant's A has lost digits because of nearly free
+controls."""
 CANCELLED = 1e-9
-"""Share of G11 at a frequency below which its remainder under v is rounding."""
+"""A remainder of G11 after cancellation by v counts as rounding if it is below this share of G11."""
 
 
 class RiccatiSolution(NamedTuple):
-    """A stabilising solution, symmetric (n, n), and whether it is positive semidefinite within rounding."""
+    """A stabilising solution ``X`` (n, n), symmetric. ``definite``: X is positive semidefinite within
+    rounding."""
 
     X: np.ndarray
     definite: bool
@@ -34,13 +36,14 @@ class RiccatiSolution(NamedTuple):
 
 @dataclass(frozen=True)
 class Side:
-    """One Riccati equation, of a problem with D12 of full column rank.
+    """One Riccati equation of a problem whose D12 has full column rank.
 
         x' = A x + B1 w + B2 u,   z = C1 x + D11 w + D12 u
 
-    ``basis`` (n, n_r) are the states that remain without the free ones; the solution is basis X_r basisᵀ.
-    ``bound`` is the least γ that D11 and D12 allow (full information). ``axis`` are the frequencies in rad/s
-    of zeros on the imaginary axis. ``weight`` is the state cost (times I) that moves them off it.
+    The columns of ``basis`` (n, n_r) are the states that remain after the removal of free states. The
+    solution is basis X_r basisᵀ. ``bound`` is the least γ that D11 and D12 allow (full information). ``axis``
+    holds the frequencies in rad/s of zeros on the imaginary axis. ``weight`` is the state cost (times I) that
+    moves these zeros off the axis.
     """
 
     A: np.ndarray
@@ -56,7 +59,7 @@ class Side:
 
     @staticmethod
     def regular(P: Plant) -> Side:
-        """Control side of a plant whose D12 has full column rank: nothing to remove."""
+        """Control side of a plant whose D12 has full column rank and which therefore keeps all states."""
         return Side(
             P.A,
             P.B1,
@@ -69,7 +72,7 @@ class Side:
         )
 
     def solve(self, gamma: float) -> RiccatiSolution | None:
-        """The stabilising solution at ``gamma``, original coordinates, (n, n); None when there is none."""
+        """Stabilising solution (n, n) at ``gamma`` in the plant's coordinates, or None."""
         if gamma <= self.bound * (1 + 1e-12):
             return None
         if len(self.A) == 0:
@@ -84,7 +87,7 @@ class Side:
 
     @cached_property
     def _closed(self) -> StateSpace | None:
-        """[G11 G12] from [w; v] to z with an LQ gain closed (u = F x + v); None where there is none."""
+        """System [G11 G12] from [w; v] to z with the LQ feedback u = F x + v, or None without such an F."""
         F = stabilising_gain(self.A, self.B2) if self.B2.size and not self.axis else None
         if F is None:
             return None
@@ -92,12 +95,12 @@ class Side:
         return StateSpace(self.A + self.B2 @ F, B, self.C1 + self.D12 @ F, D)
 
     def frequency_bound(self, level: float | None = None) -> float:
-        """A level that full information does not go below.
+        """Lower bound of γ for every controller, even with full information.
 
-        It is the maximum over frequencies of σ̄ of the part of G11(jω) that no v cancels through G12(jω). The
-        frequencies are DC and those of the poles. With a ``level`` they are those where the bound may cross
-        it (axis eigenvalues of the Hamiltonian), and the points between them. It is 0 where no gain closes
-        the loop.
+        At each frequency it is σ̄ of the part of G11(jω) that no v cancels through G12(jω). The result is the
+        maximum over DC and the frequencies of the poles. With a ``level`` the frequencies are those where the
+        bound may cross it (axis eigenvalues of the Hamiltonian), and points between them. The result is 0
+        where no gain stabilises the loop.
         """
         G = self._closed
         if G is None:
@@ -107,7 +110,7 @@ class Side:
         else:
             try:
                 H = balance_hamiltonian(hamiltonian(self, level))[0]
-            except np.linalg.LinAlgError:  # the level is that of D11 itself
+            except np.linalg.LinAlgError:  # the level is a singular value of the direct terms
                 return 0.0
             omega = axis_frequencies(H, float(np.linalg.norm(self.A, 2)))
         response = G.response(np.unique(omega))
@@ -115,7 +118,7 @@ class Side:
         known, free = np.split(response, [self.B1.shape[1]], axis=2)
         size = np.linalg.norm(free, axis=1, keepdims=True)
         U, sigma, _ = np.linalg.svd(free / np.maximum(size, 1e-300), full_matrices=False)
-        sure = sigma[:, -1] > 1e-5  # near a zero the range of G12 is rounding
+        sure = sigma[:, -1] > 1e-5  # near a zero of G12 its range is rounding
         U, known = U[sure], known[sure]
         rest = known - U @ (U.conj().swapaxes(1, 2) @ known)
         size, whole = (np.linalg.norm(M, 2, axis=(1, 2)) for M in (rest, known))
@@ -123,7 +126,7 @@ class Side:
 
 
 def hamiltonian(side: Side, gamma: float) -> np.ndarray:
-    """Hamiltonian of the Riccati equation (2n, 2n) at a γ above the Parrott bound of its D11."""
+    """Hamiltonian (2n, 2n) of the Riccati equation at a γ above the Parrott bound of its D11."""
     n, m1 = len(side.A), side.B1.shape[1]
     B = np.hstack([side.B1 / gamma, side.B2])
     D = np.hstack([side.D11 / gamma, side.D12])
@@ -141,16 +144,18 @@ def hamiltonian(side: Side, gamma: float) -> np.ndarray:
 
 
 def balance_hamiltonian(H: np.ndarray, floor: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
-    """Symplectic diagonal scaling diag(t, 1/t) by powers of two (as in Benner 2001); returns the scaled H and
-    t.
+    """Scale H (2n, 2n) by a symplectic diag(t, 1/t) of powers of two (Benner 2001). Returns the scaled H and
+    t (n,).
 
-    Entries up to ``floor`` times the largest one have no say in the choice of t.
+    Entries up to ``floor`` times the largest entry do not influence t.
     """
     n = len(H) // 2
     off = np.abs(H)
     np.fill_diagonal(off, 0)
     off[off <= floor * off.max(initial=0.0)] = 0.0
-    with np.errstate(invalid="ignore"):  # scipy reads the scales as row numbers too, which large ones are not
+    with np.errstate(
+        invalid="ignore"
+    ):  # scipy also converts the scales to row numbers, which fails for large ones
         _, (scale, _) = sl.matrix_balance(off, separate=True, permute=False)
     logs = np.log2(scale)
     t = 2.0 ** np.round(0.5 * (logs[:n] - logs[n:]))
@@ -161,20 +166,20 @@ def balance_hamiltonian(H: np.ndarray, floor: float = 0.0) -> tuple[np.ndarray, 
 def stabilising_solution(
     H: np.ndarray, side: Side | None = None, gamma: float = np.inf
 ) -> RiccatiSolution | None:
-    """Solution X = X2 X1⁻¹ (n, n) from the stable invariant subspace of H (2n, 2n), symmetric; None on the
-    axis.
+    """Symmetric solution X = X2 X1⁻¹ (n, n) from the stable invariant subspace of H (2n, 2n).
 
-    A balancing that uses every entry is tried first. Where rounding replaces zeros (X exactly singular) it
-    makes X1 nearly singular, and a balancing that ignores such entries is used. Where H is much larger than
-    the A of its ``side`` (nearly free controls) the answer is trusted only when it is well conditioned.
-    Otherwise the extended pencil at ``gamma`` decides, which never forms the inverse that made H large.
+    It is None where eigenvalues lie on the imaginary axis. The first balancing uses every entry. If X is
+    exactly singular, entries that are rounding in place of zeros make X1 nearly singular. A second balancing
+    then ignores such entries. Where H is much larger than the A of its ``side`` (nearly free controls), a
+    badly conditioned solution is not trusted. The extended pencil at ``gamma`` then decides. It does not
+    contain the inverse that made H large.
     """
     best: tuple[RiccatiSolution | None, float] = None, np.inf
     for floor in (0.0, EPS):
         balanced_H, t = balance_hamiltonian(H, floor)
         solution, condition = _subspace_solution(balanced_H, t)
         best = _better(best, (solution, condition))
-        if best[1] < 1e10 or condition == 0.0:  # 0: the axis is in the way
+        if best[1] < 1e10 or condition == 0.0:  # 0: eigenvalues on the axis
             break
     if (
         side is not None
@@ -189,25 +194,25 @@ def stabilising_solution(
 def _better(
     best: tuple[RiccatiSolution | None, float], other: tuple[RiccatiSolution | None, float]
 ) -> tuple[RiccatiSolution | None, float]:
-    """``other`` where it is a solution and of a better condition."""
+    """``other`` where it is a solution with a smaller condition number, else ``best``."""
     return other if other[0] is not None and other[1] < best[1] else best
 
 
 def _subspace_solution(H: np.ndarray, t: np.ndarray) -> tuple[RiccatiSolution | None, float]:
-    """The solution from one balanced H, and the condition of its X1 (0 when the axis is in the way)."""
+    """The solution from one balanced H, and the condition number of X1 (0 with eigenvalues on the axis)."""
     n = len(H) // 2
     T, U, stable = sl.schur(H, sort="lhp", check_finite=False)
     if stable != n or _touches_axis(T):
         return None, 0.0
-    speed = np.abs(np.diag(T)).min()  # of the slowest real part
+    speed = np.abs(np.diag(T)).min()  # slowest real part
     return _from_basis(U[:n, :n], U[n:, :n], t, noise=1e2 * EPS * np.linalg.norm(T) / max(speed, EPS))
 
 
 def _pencil_solution(side: Side, gamma: float, t: np.ndarray) -> tuple[RiccatiSolution | None, float]:
-    """The same solution from the extended pencil in (x, λ, [w; u], z), where γ and D enter unsquared (Van
-    Dooren 1981).
+    """The same solution from the extended pencil in (x, λ, [w; u], z) (Van Dooren 1981).
 
-    The algebraic variables are eliminated by an orthogonal transformation; ``t`` scales x and 1/t scales λ.
+    The pencil does not contain squares of γ and D. An orthogonal transformation eliminates the algebraic
+    variables. ``t`` scales x, and 1/t scales λ.
     """
     n, m1, m = len(side.A), side.B1.shape[1], side.B1.shape[1] + side.B2.shape[1]
     p = len(side.C1)
@@ -238,9 +243,10 @@ def _pencil_solution(side: Side, gamma: float, t: np.ndarray) -> tuple[RiccatiSo
 def _from_basis(
     U1: np.ndarray, U2: np.ndarray, t: np.ndarray, noise: float
 ) -> tuple[RiccatiSolution | None, float]:
-    """X = U2 U1⁻¹ in the units before ``t``, from an orthonormal basis [U1; U2] of the stable subspace.
+    """X = U2 U1⁻¹ in the units before the scaling ``t``, from an orthonormal basis [U1; U2] of the stable
+    subspace.
 
-    ``noise``: error of the basis where it is larger than rounding.
+    ``noise`` is the error of the basis where it is larger than rounding.
     """
     condition = float(np.linalg.cond(U1))
     skew = U1.T @ U2
@@ -267,8 +273,7 @@ def _touches_axis(T: np.ndarray) -> bool:
 
 
 def stabilising_gain(A: np.ndarray, B: np.ndarray) -> np.ndarray | None:
-    """LQ gain F (m, n) with A + B F stable, unit weights in balanced units; None where there is none, so for
-    B = 0."""
+    """LQ gain F (m, n) with A + B F stable and unit weights in balanced units, or None (always for B = 0)."""
     width = np.linalg.norm(B, 2)
     if width == 0:
         return None

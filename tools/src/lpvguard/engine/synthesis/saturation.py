@@ -1,10 +1,11 @@
-"""A loop with limited demand and anti-windup: sector bounds of the dead zone (THEORY 7.12).
+"""Proofs for a loop with a limited demand and anti-windup, by sector bounds of the dead zone (THEORY 7.12).
 
-The controller wants u = C x and gets v = u − q. Here q is the dead zone of u, input by input: zero within
-u_max, and the excess beyond. It runs x⁺ = A x + B m − L q. While |u| ≤ κ u_max the dead zone lies in the
-sector from 0 to ``s = 1 − 1/κ``. Then ``q = ½ s (u + p)`` with |p| ≤ |u| sample by sample. The signal p of
-every input is the output of one more block of uncertainty, which is memoryless. Constants commute with it, as
-D(s) commutes with an LTI Δ. With outputs and inputs of the loop scaled in this way, a matrix Q ≻ 0 with
+The controller has the state x⁺ = A x + B m − L q. It demands u = C x, and the plant receives v = u − q. For
+each input, q is the dead zone of u: zero up to u_max, and the excess beyond. While |u| ≤ κ u_max the dead
+zone lies in the sector from 0 to ``s = 1 − 1/κ``. Then ``q = ½ s (u + p)`` with |p| ≤ |u| sample by sample.
+The signal p of each input is the output of one more uncertainty block, which is memoryless. Constants commute
+with this block, as D(s) commutes with a linear time-invariant Δ. D(s) and the constants scale the outputs and
+inputs of the loop. A matrix Q ≻ 0 with
 
     diag(Q, I) − [A B; C D] diag(Q, I) [A B; C D]ᵀ ≻ 0
 
@@ -29,43 +30,45 @@ GAIN_RTOL = 0.02
 """Relative accuracy of the search for gains."""
 LARGEST_GAIN = 1e3
 BACKOFF = 1.05
-"""Over the least gain found on the grid, at which it is proved."""
+"""The proof is tried at the least gain on the grid times this factor."""
 OFFSETS = (-4.0, -2.0, 0.0, 2.0, 4.0)
-"""Offsets of the logarithms of all constants, tried for the energy: they weight the blocks against w."""
+"""Trial offsets of the logarithms of all constants in the search for the energy. They weight the blocks
+against w."""
 SLACK = 1e-7
-"""Extra input on every state with which Q's equation is made strict, relative to B Bᵀ."""
+"""Extra input on every state, relative to B Bᵀ, which makes the equation of Q strict."""
 DOUBLINGS = 40
-"""Steps of a Riccati equation's solution; n steps stand for 2^n samples."""
+"""Largest number of doubling steps of a Riccati equation. n steps stand for 2^n samples."""
 RESERVE = 64
-"""Units of rounding that an eigenvalue must exceed 0 by, for each row."""
+"""Least distance of an eigenvalue from 0, in units of rounding for each row."""
 
 
 @dataclass(frozen=True)
 class Reachable:
-    """``energy``: the largest ‖w‖ for which the limits are kept, proved with ``log_constants``."""
+    """A largest ‖w‖, ``energy``, for which ``log_constants`` (blocks,) prove that the demand keeps its
+    limits."""
 
     energy: float
     log_constants: np.ndarray
 
 
 def sector(kappa: float) -> float:
-    """The largest slope of the dead zone while |u| ≤ kappa u_max."""
+    """Upper slope of the sector of the dead zone while |u| ≤ kappa u_max."""
     return 1 - 1 / kappa
 
 
 def limited_loop(
     plant: GeneralisedPlant, controller: StateSpace, L: np.ndarray, kappa: float, scaling: Scaling
 ) -> StateSpace:
-    """Build the loop from [Δ outputs, p, w] to [Δ inputs, u, z], with Δ's signals scaled by D.
+    """Build the loop from [Δ outputs, p, w] to [Δ inputs, u, z], with the signals of Δ scaled by D.
 
-    The states are [.., x, x_K, u (n_u) of the sample before, ..].
+    The states are [.., x, x_K, previous u (n_u), ..].
 
     Parameters
     ----------
     plant : GeneralisedPlant
-    controller : StateSpace, strictly proper, from the measurements
-    L : ndarray (n, n_u), its anti-windup
-    kappa : float, wanted demand over its limit
+    controller : StateSpace, strictly proper
+    L : ndarray (n, n_u), anti-windup gain
+    kappa : float, largest ratio of the demand to its limit
     scaling : Scaling
 
     Returns
@@ -75,7 +78,7 @@ def limited_loop(
     Raises
     ------
     SynthesisError
-        Unless the controls enter the plant with a delay.
+        If the plant has no delay, or the controller is not strictly proper.
 
     References
     ----------
@@ -86,9 +89,11 @@ def limited_loop(
     B1, B2, C1, C2 = P.B[:, :n_w], P.B[:, n_w:], P.C[:n_z], P.C[n_z:]
     D11, D12, D21 = P.D[:n_z, :n_w], P.D[:n_z, n_w:], P.D[n_z:, :n_w]
     if P.D[n_z:, n_w:].any() or K.D.any():
-        raise SynthesisError("limited loop", "plant", "no delay", "inputs that are late by a sample")
+        raise SynthesisError(
+            "limited loop", "plant", "no delay", "inputs with a delay of at least one sample"
+        )
     n, m, n_u = P.order, K.order, plant.n_control
-    # x, x_K and the demand before; the dead zone's output enters as q.
+    # The states are x, x_K and the previous demand. The output of the dead zone enters as q.
     A = np.block(
         [
             [P.A, B2 @ K.C, np.zeros((n, n_u))],
@@ -125,7 +130,7 @@ def limited_loop(
 
 
 class LimitedLoop:
-    """A loop of `limited_loop` with its blocks: Δ, the limit of every input, then performance.
+    """A loop of `limited_loop` with its blocks: Δ, then the limit of every input, then performance.
 
     Parameters
     ----------
@@ -144,30 +149,31 @@ class LimitedLoop:
         self.rows = [*(b.cols for b in plant.blocks), *[1] * self.n_u]
         self.cols = [*(b.rows for b in plant.blocks), *[1] * self.n_u]
         self.ones = np.ones(len(self.rows))
-        # The states before x: those of the scalings on the inputs.
+        # The scalings on the inputs have the states before x.
         before = sum(b.rows for b in plant.blocks) * (scaling.log_parameters.shape[1] // 2)
         self.demand_before = before + plant.system.order + controller.order
 
     @property
     def stable(self) -> bool:
-        """Whether the loop is stable with the sector's middle closed."""
+        """Whether the loop is stable with the middle of the sector in place of the dead zone."""
         return self.system.stability_margin() > 0
 
     def stability(self) -> ConstantScalings:
-        """The blocks alone: a norm below 1 proves the loop stable for every Δ and demand within κ u_max."""
+        """Loop without performance. A norm below 1 proves that it is stable for every Δ and demand within κ
+        u_max."""
         return ConstantScalings(
             self.system.select(slice(0, sum(self.rows)), slice(0, sum(self.cols))), self.rows, self.cols
         )
 
     def performance(self) -> ConstantScalings:
-        """The blocks and performance."""
+        """Loop with the blocks and performance."""
         return ConstantScalings(self.system, self.rows, self.cols)
 
     def gain(self) -> tuple[float, np.ndarray] | None:
         """Compute a gain from w to z for every Δ and every demand within κ u_max.
 
-        Returns the gain and the logarithms (blocks,) of its constants, or None if no gain up to LARGEST_GAIN
-        is proved.
+        Returns the gain and the logarithms (blocks,) of its constants, or None if the proof fails up to
+        LARGEST_GAIN.
         """
         if not self.stable:
             return None
@@ -191,9 +197,9 @@ class LimitedLoop:
     def largest_energy(
         self, starts: Sequence[np.ndarray], u_max: np.ndarray, step_max: np.ndarray
     ) -> Reachable | None:
-        """The largest energy that constants of OFFSETS beside one of ``starts`` prove; None: none does.
+        """The largest energy that the constants of ``starts``, shifted by OFFSETS, prove, or None.
 
-        starts: logarithms (blocks,) each. ``u_max``, ``step_max``: as of ``energy``.
+        Each start holds logarithms (blocks,). ``u_max`` and ``step_max`` (n_u,) are those of ``energy``.
         """
         reachable = []
         for start, offset in itertools.product(starts, OFFSETS):
@@ -207,8 +213,7 @@ class LimitedLoop:
         """Compute the largest ‖w‖ with which the demand stays within its limits.
 
         ``log_constants`` (blocks,) prove |u| ≤ κ ``u_max`` (n_u,) and |u(k) − u(k − 1)| ≤ ``step_max``
-        (n_u,). Returns None
-        where Q is not found or does not pass its test.
+        (n_u,). Returns None where Q does not exist or fails its test.
         """
         whole = self.performance().scaled(self.ones, 1.0, log_constants)
         G = whole.select(slice(0, sum(self.rows)), slice(None))
@@ -231,8 +236,11 @@ class LimitedLoop:
 def _reached(
     A: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray, slack: np.ndarray
 ) -> np.ndarray | None:
-    """The least Q with Q = A Q Aᵀ + B Bᵀ + slack + V (I − D Dᵀ − C Q Cᵀ)⁻¹ Vᵀ, V = A Q Cᵀ + B Dᵀ, by doubling
-    (Chu, Fan, Lin and Wang 2004); None where the steps do not settle, as where the gain is not below 1."""
+    """The least Q with Q = A Q Aᵀ + B Bᵀ + slack + V (I − D Dᵀ − C Q Cᵀ)⁻¹ Vᵀ, V = A Q Cᵀ + B Dᵀ.
+
+    It is computed by doubling (Chu, Fan, Lin and Wang 2004). None where the steps do not converge, for
+    example if the gain is not below 1.
+    """
     inverse = np.linalg.inv(np.eye(len(D)) - D @ D.T)
     H = B @ B.T + slack + B @ D.T @ inverse @ D @ B.T
     A, G = (A + B @ D.T @ inverse @ C).T, -C.T @ inverse @ C
@@ -249,8 +257,11 @@ def _reached(
 
 
 def _proof(A: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray, Q: np.ndarray) -> float:
-    """Least eigenvalue of diag(Q, I) − M diag(Q, I) Mᵀ over its reserve for rounding, M = [A B; C D]; -inf
-    where Q is not positive definite. Rows are scaled to a unit diagonal of Q first."""
+    """Least eigenvalue of diag(Q, I) − M diag(Q, I) Mᵀ, M = [A B; C D], divided by its allowance for
+    rounding.
+
+    It is -inf where Q is not positive definite. The states are first scaled to a unit diagonal of Q.
+    """
     if not ((np.diag(Q) > 0).all() and np.isfinite(Q).all()):
         return -np.inf
     d = np.sqrt(np.diag(Q))

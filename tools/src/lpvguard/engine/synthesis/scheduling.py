@@ -1,11 +1,11 @@
-"""One family of controllers over the operating points of a scheduled plant, suited for interpolation.
+"""A family of controllers for the operating points of a scheduled plant, suited for interpolation.
 
-Three measures keep neighbours alike. One scaling D, the best for the worst point, and one level γ serve all
-points. Central controllers of neighbouring plants at the same level are neighbours. Near each plant's own
-optimum they are not. The plant's own coordinates are kept: the central controller's state estimates the
-plant's. One projection serves all, from the sums over the points of the closed loops' Gramians (the
-frozen-parameter average of Wood, Goddard & Glover 1996). Separate truncation would keep different states of
-each.
+Three measures keep neighbouring controllers similar. First, all points have the same scaling D, which is the
+best for the worst point, and the same level γ. Central controllers of neighbouring plants are similar at one
+level, but not near each plant's own optimum. Second, the controllers keep the plant's coordinates, because
+the state of a central controller estimates that of the plant. Third, one projection truncates all
+controllers. It uses the sums of the closed-loop Gramians over the points (Wood, Goddard & Glover 1996).
+Separate truncations would keep different states.
 """
 
 from collections.abc import Callable, Sequence
@@ -37,8 +37,7 @@ OPTIMUM_RTOL = 1e-4
 
 
 def scaled_plant(plant: GeneralisedPlant, scaling: Scaling) -> StateSpace:
-    """D P D⁻¹ in continuous time, states [D⁻¹; P; D] in their own coordinates, whatever the numbers in
-    them."""
+    """D P D⁻¹ in continuous time, with the states [D⁻¹; P; D] in their original coordinates."""
     left, right = scaling.systems(plant)
     G = to_continuous(plant.system)
     left = append(left, gain(np.eye(G.n_outputs - left.n_outputs)))
@@ -49,7 +48,7 @@ def scaled_plant(plant: GeneralisedPlant, scaling: Scaling) -> StateSpace:
 def closed_scaled(plant: GeneralisedPlant, controller: StateSpace, scaling: Scaling) -> StateSpace:
     """Close the discrete loop D F_l(P, K) D⁻¹ from [Δ outputs; w] to [Δ inputs; z].
 
-    The states are [D⁻¹; P; K; D]; D is mapped by Tustin.
+    The states are [D⁻¹; P; K; D]. Tustin's method maps D to discrete time.
 
     Parameters
     ----------
@@ -69,17 +68,17 @@ def closed_scaled(plant: GeneralisedPlant, controller: StateSpace, scaling: Scal
 def common_scaling(
     plants: Sequence[GeneralisedPlant], start: Scaling, workers: Map = map
 ) -> tuple[Scaling, float]:
-    """Search the scaling with the least worst-case optimum over plants, by pattern search.
+    """Search for the scaling with the least worst-case optimum over plants, by pattern search.
 
     Parameters
     ----------
     plants : Sequence[GeneralisedPlant]
     start : Scaling
-    workers : Map, shares the two directions of a parameter
+    workers : Map, runs the two directions of a parameter in parallel
 
     Returns
     -------
-    tuple of Scaling and float, the optimum
+    tuple of Scaling and float, its worst-case optimum
     """
     order = list(range(len(plants)))
     best = start
@@ -109,8 +108,11 @@ def common_scaling(
 def _worst_below(
     plants: Sequence[GeneralisedPlant], limit: float, scaling: Scaling
 ) -> tuple[float | None, int]:
-    """The largest optimum when all lie below ``limit``, else None and the first plant that does not. One that
-    reaches the largest so far is no larger."""
+    """The largest optimum when all lie below ``limit``, else None and the index of the first plant that does
+    not.
+
+    The search skips a plant that reaches the largest optimum so far.
+    """
     largest = 0.0
     for k, plant in enumerate(plants):
         shape = plant.n_control, plant.n_measurement
@@ -124,18 +126,18 @@ def _worst_below(
 def common_family(
     plants: Sequence[GeneralisedPlant], scaling: Scaling, level: float, workers: Map = map
 ) -> tuple[Callable[[int], list[StateSpace]], int]:
-    """Compute controllers of all plants at one level, truncated in one set of states.
+    """Compute controllers of all plants at one level, truncated to the same states.
 
     Parameters
     ----------
-    plants : Sequence[GeneralisedPlant], discrete, of one structure
+    plants : Sequence[GeneralisedPlant], discrete, all with the same structure
     scaling : Scaling
-    level : float, above each optimum
-    workers : Map, shares the plants
+    level : float, above the optimum of each plant
+    workers : Map, runs the plants in parallel
 
     Returns
     -------
-    tuple of Callable, order -> list of StateSpace, and int, the largest order
+    tuple of Callable, which returns the list of StateSpace for an order, and int, the largest order
 
     References
     ----------
@@ -165,8 +167,8 @@ def common_family(
 def _member(
     n_control: int, n_measurement: int, level: float, G: StateSpace
 ) -> tuple[StateSpace, np.ndarray, np.ndarray]:
-    """The central controller of the scaled plant ``G`` at ``level``, and how far its states are reached and
-    seen in the loop, (n, n) each."""
+    """Central controller of the scaled plant ``G`` at ``level``, and the blocks (n, n) of both closed-loop
+    Gramians."""
     n, synthesis = G.order, hinf_synthesis(G, n_control, n_measurement, level=level)
     K = synthesis.controller.transformed(np.linalg.inv(synthesis.basis))
     loop = lft(G, K)

@@ -1,10 +1,9 @@
-"""Singular problems: the exact reduction that gives the optimum, and the regular plant for the controller.
+"""Singular problems: an exact reduction gives the optimum, and a regular plant gives the controller.
 
-A control direction may have no direct cost. The states that it drives can then be set at no cost. They become
-the controls of a smaller problem (Stoorvogel 1992). In the LMI form of Gahinet & Apkarian 1994, the free
-block of R replaces the feedback. The controller comes from a plant with an extra cost ε on the free
-directions and an extra noise ε on the unmeasured ones. Its level holds for the original plant too, because
-its cost is larger.
+A control direction may have no direct cost. The states that it drives then can take any value at no cost, and
+they become the controls of a smaller problem (Stoorvogel 1992). The controller comes from a plant with an
+extra cost ε on the free directions and an extra noise ε on the free measurements. The level of this plant
+holds for the original plant too, because the extended plant has the larger cost.
 """
 
 from dataclasses import replace
@@ -18,13 +17,12 @@ from lpvguard.engine.synthesis.statespace import EPS
 from lpvguard.engine.synthesis.zeros import axis_zeros
 
 AXIS_COST = 1e-7
-"""State cost, relative to ‖C1‖, that moves zeros off the imaginary axis in the optimum's search."""
+"""State cost, relative to ‖C1‖, that moves zeros off the imaginary axis in the search for the optimum."""
 
 
 def reduced_side(P: Plant) -> Side:
-    """The Riccati problem that decides the control side of P, free directions removed until D12 has full
-    rank.
-    """
+    """Riccati problem of the control side of P, after the removal of free directions until D12 has full
+    rank."""
     A, B1, B2, C1, D12 = P.A, P.B1, P.B2, P.C1, P.D12
     rate = float(np.linalg.norm(A, 2))
     basis = np.eye(len(A))
@@ -62,8 +60,8 @@ def reduced_side(P: Plant) -> Side:
 def extended_plant(P: Plant, soft: tuple[bool, bool], epsilon: float) -> Plant:
     """The regular plant with extra costs ε on the controls and extra noises ε on the measurements.
 
-    ``soft``: whether the control side gets the cost, and the filter side the noise, on every state too. Zeros
-    that stay on the imaginary axis need it.
+    ``soft`` has two flags: whether the cost, and whether the noise, acts on every state too. This is needed
+    where zeros remain on the imaginary axis.
     """
     cost_u, cost_x = _extension(P, soft[0], epsilon)
     noise_y, noise_x = _extension(P.dual, soft[1], epsilon)
@@ -78,7 +76,7 @@ def extended_plant(P: Plant, soft: tuple[bool, bool], epsilon: float) -> Plant:
 
 
 def _extension(P: Plant, axis: bool, epsilon: float) -> tuple[np.ndarray, np.ndarray]:
-    """Rows ε·u and, when ``axis``, ε·x, in units of the plant's own costs."""
+    """Extra cost rows ε·u and, with ``axis``, ε·x, in units of the plant's costs."""
     size = max(float(np.linalg.norm(P.C1, 2)), EPS)
     reach = np.linalg.norm(P.B2, axis=0)
     unit = np.where(reach > 0, reach / max(reach.max(), 1e-300), 1.0)

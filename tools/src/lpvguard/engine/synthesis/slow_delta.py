@@ -1,14 +1,14 @@
-"""A slowly varying Δ: the commutator of Δ and a dynamic scaling D, as one more uncertainty (THEORY 7.11).
+"""Proofs for a slowly varying Δ, with its commutator with a dynamic scaling D as one more uncertainty (THEORY
+7.11).
 
-A block's scaling is d = D∞ + C (q − A)⁻¹ B in discrete time, stable with stable inverse, q the shift by
-one sample. For any causal linear Δ and its change over one sample, E = q Δ q⁻¹ − Δ,
+The scaling of a block is d = D∞ + C (q − A)⁻¹ B in discrete time, stable with a stable inverse. q is the
+shift by one sample. A causal linear Δ changes by E = q Δ q⁻¹ − Δ over one sample. Then
 
     d Δ d⁻¹ = Δ − C (q − A)⁻¹ E q X,     X = (q − A)⁻¹ B d⁻¹,
 
-with E acting on each of d's states alike. Let no Δ change by more than r Ts in gain from sample to sample.
-Then the loop with DΔD⁻¹ is the scaled loop with two blocks: Δ of gain 1, and E of gain r Ts. Constants
-commute with operators of any speed. A norm below 1 under constant scalings of the blocks is therefore a
-proof.
+where E acts on each state of d separately. Let the gain of E be at most r Ts. The loop with DΔD⁻¹ then is the
+scaled loop with two blocks: Δ of gain 1, and E of gain r Ts. Constants commute with operators that vary
+arbitrarily fast. A norm below 1 under constant scalings of the blocks is therefore a proof.
 """
 
 from dataclasses import dataclass
@@ -22,17 +22,20 @@ from lpvguard.engine.synthesis.scheduling import closed_scaled
 from lpvguard.engine.synthesis.statespace import StateSpace, append, gain, series, to_discrete
 
 SHARES = (0.98, 0.9, 0.7, 0.4)
-"""Shares of the grid's rate that are tried in the proof."""
+"""The proof tries these shares of the rate that the search on the grid gives."""
 RATES = 1e-6, 1e4
-"""Least and largest rate that is looked for [1/s]."""
+"""Least and largest rate of the search [1/s]."""
 RATE_RTOL = 0.03
 
 
 @dataclass(frozen=True)
 class SlowProof:
-    """``rate`` [1/s]: Δ may change by rate · Ts in gain from sample to sample. ``log_constants``:
-    logarithms of the constants: of the blocks of Δ where only stability counts, then of each E. ``level``:
-    the norm that was proved."""
+    """A proof for a slowly varying Δ.
+
+    Δ may change by a gain of ``rate`` · Ts from sample to sample, with ``rate`` in 1/s. ``log_constants`` are
+    the logarithms of the constants: of the blocks of Δ in a proof of stability alone, then of each E.
+    ``level`` is the proved norm.
+    """
 
     rate: float
     log_constants: np.ndarray
@@ -45,9 +48,9 @@ class SlowLoop:
     Parameters
     ----------
     plant : GeneralisedPlant
-    controller : StateSpace, which makes a stable discrete loop
+    controller : StateSpace, makes the discrete loop stable
     scaling : Scaling
-    performance : bool, count the gain from [w; n; r_c] to z; otherwise only stability
+    performance : bool, include the gain from [w; n; r_c] to z; otherwise prove stability only
     """
 
     def __init__(self, plant: GeneralisedPlant, controller: StateSpace, scaling: Scaling, performance: bool):
@@ -57,7 +60,8 @@ class SlowLoop:
             loop = loop.select(slice(0, plant.n_delta_in), slice(0, plant.n_delta_out))
         n_z, n_w = loop.n_outputs - plant.n_delta_in, loop.n_inputs - plant.n_delta_out
         left, _ = scaling.systems(plant)
-        # Of each block: H from its scaled input to q X, F from E's output to its scaled output.
+        # For each block, H goes from its scaled input to q X, and F from the output of E to its scaled
+        # output.
         H, F, sizes = [], [], []
         d = [to_discrete(system, self.dt) for system in _scalar(left, plant, scaling)]
         for system, block in zip(d, plant.blocks, strict=True):
@@ -78,12 +82,12 @@ class SlowLoop:
         )
 
     def proved(self, rate: float, log_constants: np.ndarray) -> float:
-        """The norm from above over all frequencies with ``log_constants`` (free,); below 1 it proves
+        """Upper bound of the norm over all frequencies with ``log_constants`` (free,). Below 1 it proves
         ``rate``."""
         return self.scalings.proved(self._sizes(rate), 1.0, log_constants)
 
     def search(self) -> SlowProof | None:
-        """The largest rate found with a proof; None: none from RATES on."""
+        """Proof with the largest rate that the search finds within RATES, or None."""
         low, high = np.log(RATES)
         best: tuple[float, np.ndarray] | None = None
         beside = 0.0
@@ -105,25 +109,24 @@ class SlowLoop:
         return None
 
     def at(self, rate: float) -> SlowProof:
-        """The level proved for a given ``rate``, which may be 1 or more."""
+        """Proof of a level for a given ``rate``. The level may be 1 or more."""
         _, x = self.scalings.least(self._sizes(rate), 1.0, self.even(rate))
         return SlowProof(rate, x, self.proved(rate, x))
 
     def even(self, rate: float) -> np.ndarray:
-        """Logarithms (free,) of constants that give a rate above 0 in equal parts to rows and columns of
-        E."""
+        """Logarithms (free,) of constants that split a rate above 0 equally between rows and columns of E."""
         start = np.zeros(self.scalings.free)
         if rate > 0:
             start[self.blocks - self.scalings.fixed :] = -0.5 * np.log(rate * self.dt)
         return start
 
     def _sizes(self, rate: float) -> np.ndarray:
-        """1 for each block of Δ, and the rate a sample for each E."""
+        """Gains of the blocks: 1 for each block of Δ, and rate · Ts for each E."""
         return np.where(np.arange(len(self.scalings.rows)) < self.blocks, 1.0, rate * self.dt)
 
 
 def _scalar(left: StateSpace, plant: GeneralisedPlant, scaling: Scaling) -> list[StateSpace]:
-    """The scaling of each block once, continuous."""
+    """Continuous scalar scaling d of each block."""
     firsts = np.cumsum([0, *(block.cols for block in plant.blocks)])[:-1]
     order = (scaling.log_parameters.shape[1] - 1) // 2
     out = []
@@ -138,20 +141,20 @@ def _scalar(left: StateSpace, plant: GeneralisedPlant, scaling: Scaling) -> list
 
 
 def _next_state(d: StateSpace) -> StateSpace:
-    """q X: from the scaled signal d y to the next state of d, driven by y."""
+    """System q X, from the scaled signal d y to the next state of d, whose input is y."""
     B = d.B / d.D
     A = d.A - B @ d.C
     return StateSpace(A, B, A, B, d.dt)
 
 
 def _read(d: StateSpace) -> StateSpace:
-    """C (q − A)⁻¹, from an input on every state."""
+    """System C (q − A)⁻¹, from an input on every state of d."""
     n = d.order
     return StateSpace(d.A, np.eye(n), d.C, np.zeros((1, n)), d.dt)
 
 
 def _beside(first: StateSpace, second: StateSpace, rest: int, dt: float) -> StateSpace:
-    """From [ẑ; z] to [ẑ; second ẑ; z]."""
+    """System from [ẑ; z] to [first ẑ; second ẑ; z], where z has ``rest`` signals."""
     both = append(first, second)
     twice = np.vstack([np.eye(first.n_inputs)] * 2)
     joined = series(both, gain(twice, dt))
@@ -159,7 +162,7 @@ def _beside(first: StateSpace, second: StateSpace, rest: int, dt: float) -> Stat
 
 
 def _sum(width: int, acted: StateSpace, rest: int, dt: float) -> StateSpace:
-    """From [ŵ; e; w] to [ŵ − acted e; w]."""
+    """System from [ŵ; e; w] to [ŵ − acted e; w], where w has ``rest`` signals."""
     added = series(
         gain(np.hstack([np.eye(width), -np.eye(width)]), dt), append(gain(np.eye(width), dt), acted)
     )

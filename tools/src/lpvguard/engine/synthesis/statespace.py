@@ -1,7 +1,7 @@
 """Linear systems in state space: the algebra shared by synthesis and analysis.
 
-All matrices are real doubles. ``dt = 0`` is continuous time (G(s)), ``dt > 0`` is discrete time with that
-sampling time in seconds (G(z)). Objects are immutable; every function returns a new one.
+All matrices are real doubles. ``dt = 0`` means continuous time (G(s)). ``dt > 0`` means discrete time (G(z))
+with the sampling time ``dt`` in seconds. Objects are immutable, and every function returns a new object.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ class StateSpace:
     B : ndarray (n, m)
     C : ndarray (p, n)
     D : ndarray (p, m)
-    dt : float, s, 0: continuous time
+    dt : float, s, 0 for continuous time
     inputs, outputs : tuple of str, m and p names, or empty
 
     Raises
@@ -98,8 +98,9 @@ class StateSpace:
         return np.linalg.eigvals(self.A) if self.order else np.zeros(0, dtype=complex)
 
     def stability_margin(self) -> float:
-        """Distance from instability: −max Re λ(A) in rad/s, or 1 − max |λ(A)|; positive when stable, +inf at
-        n = 0.
+        """Distance from instability: −max Re λ(A) in rad/s, or 1 − max |λ(A)| in discrete time.
+
+        It is positive for a stable system, and +inf for n = 0.
         """
         poles = self.poles()
         if poles.size == 0:
@@ -107,8 +108,9 @@ class StateSpace:
         return float(1.0 - np.abs(poles).max()) if self.dt else float(-poles.real.max())
 
     def response(self, omega) -> np.ndarray:
-        """G(jω) or G(e^{jω dt}) at ``omega`` (k,) rad/s, infinity allowed in continuous time; (k, p, m)
-        complex.
+        """Complex response G(jω) or G(e^{jω dt}), (k, p, m), at ``omega`` (k,) in rad/s.
+
+        ``omega`` may be infinite in continuous time.
         """
         omega = np.atleast_1d(np.asarray(omega, dtype=float))
         infinite = np.isinf(omega)
@@ -116,7 +118,7 @@ class StateSpace:
         return self.evaluate(np.exp(1j * finite * self.dt) if self.dt else 1j * finite, skip=infinite)
 
     def evaluate(self, points, skip=None) -> np.ndarray:
-        """G at complex ``points`` (k,); where ``skip`` (k,) is true it is D, the response at infinity."""
+        """G at complex ``points`` (k,), or D, the response at infinity, where ``skip`` (k,) is true."""
         points = np.atleast_1d(np.asarray(points, dtype=complex))
         out = np.broadcast_to(self.D.astype(complex), (points.size, *self.D.shape)).copy()
         todo = np.flatnonzero(~skip) if skip is not None else np.arange(points.size)
@@ -144,7 +146,7 @@ class StateSpace:
             return np.full(self.D.shape, np.inf, dtype=complex)
 
     def select(self, rows, cols) -> StateSpace:
-        """The subsystem from the inputs ``cols`` to the outputs ``rows`` (index arrays or slices)."""
+        """Subsystem from the inputs ``cols`` to the outputs ``rows`` (index arrays or slices)."""
         return StateSpace(
             self.A,
             self.B[:, cols],
@@ -161,7 +163,7 @@ class StateSpace:
 
 
 def _picked(labels: tuple[str, ...], index) -> tuple[str, ...]:
-    """The labels at ``index`` (an index array or a slice), none where there are none."""
+    """Labels at ``index`` (an index array or a slice), or none where the system has no labels."""
     return tuple(np.asarray(labels, dtype=object)[index]) if labels else ()
 
 
@@ -182,7 +184,7 @@ def gain(D, dt: float = 0.0) -> StateSpace:
 
 
 def series(second: StateSpace, first: StateSpace) -> StateSpace:
-    """Connect two systems in series: the signal passes ``first`` before ``second``.
+    """Connect two systems in series. The signal passes ``first``, then ``second``.
 
     Parameters
     ----------
@@ -220,7 +222,7 @@ def append(*systems: StateSpace) -> StateSpace:
         same_time(systems[0], one)
 
     def join(part: str) -> np.ndarray:
-        # scipy.linalg.block_diag takes ten times as long for systems of a few states.
+        # scipy.linalg.block_diag is ten times slower for systems with few states.
         blocks = [getattr(g, part) for g in systems]
         whole = np.zeros([sum(b.shape[axis] for b in blocks) for axis in (0, 1)])
         row = column = 0
@@ -288,9 +290,7 @@ def lft(plant: StateSpace, controller: StateSpace) -> StateSpace:
 
 
 def same_time(first: StateSpace, second: StateSpace) -> None:
-    """Refuse to join systems of different sampling times (a constant may join any system that has its
-    ``dt``).
-    """
+    """Raise SynthesisError unless both systems have the same sampling time."""
     if first.dt != second.dt:
         raise SynthesisError(
             "interconnection", "dt", f"{first.dt} and {second.dt}", "one sampling time for both"
@@ -298,11 +298,11 @@ def same_time(first: StateSpace, second: StateSpace) -> None:
 
 
 def balancing(G: StateSpace) -> np.ndarray:
-    """Powers of two t (n,) that make rows and columns of [A B; C 0] of like norms in the coordinates x =
-    diag(t) x̃.
+    """Powers of two t (n,) that even out the rows and columns of [A B; C 0] in the coordinates x = diag(t)
+    x̃.
 
-    Osborne (1960) through LAPACK's gebal; the input and output scales stay: they enter as one source and one
-    sink node that are never scaled.
+    It is the method of Osborne (1960), by LAPACK's gebal. Inputs and outputs are not scaled. They enter the
+    computation as one source and one sink node.
     """
     n = G.order
     graph = np.zeros((n + 2, n + 2))
@@ -310,12 +310,14 @@ def balancing(G: StateSpace) -> np.ndarray:
     np.fill_diagonal(graph, 0)
     graph[:n, n] = np.linalg.norm(G.B, axis=1)
     graph[n + 1, :n] = np.linalg.norm(G.C, axis=0)
-    with np.errstate(invalid="ignore"):  # scipy reads the scales as row numbers too, which large ones are not
+    with np.errstate(
+        invalid="ignore"
+    ):  # scipy also converts the scales to row numbers, which fails for large ones
         return sl.matrix_balance(graph, separate=True, permute=False)[1][0][:n]
 
 
 def scaled_states(G: StateSpace, t: np.ndarray) -> StateSpace:
-    """G in the coordinates x = diag(t) x̃, t (n,); exact in floating point when t holds powers of two."""
+    """G in the coordinates x = diag(t) x̃, with t (n,). It is exact when t holds powers of two."""
     return replace(G, A=G.A * t / t[:, None], B=G.B / t[:, None], C=G.C * t)
 
 
@@ -325,9 +327,10 @@ def balanced(G: StateSpace) -> StateSpace:
 
 
 def to_continuous(G: StateSpace, alpha: float | None = None) -> StateSpace:
-    """Bilinear map z = (α + s)/(α − s) of a discrete system: same H∞ norm, same stability; default α = 2/dt.
+    """Map a discrete system to a continuous one by z = (α + s)/(α − s), by default with α = 2/dt.
 
-    Exists when −1 is no eigenvalue of A (SynthesisError otherwise). A continuous system is returned as it is.
+    The map keeps the H∞ norm and stability. Raises SynthesisError where −1 is an eigenvalue of A. A
+    continuous system is returned unchanged.
     """
     if not G.dt:
         return G
@@ -342,8 +345,8 @@ def to_continuous(G: StateSpace, alpha: float | None = None) -> StateSpace:
     root = np.sqrt(2 * alpha)
     D = G.D - G.C @ inverse @ G.B
     A, B, C = alpha * inverse @ (G.A - eye), root * inverse @ G.B, root * G.C @ inverse
-    # entries that vanish exactly (a zero at z = −1, an unreached state) must not come back as rounding:
-    # scaling would take them for weak couplings
+    # An entry that is exactly 0 (a zero at z = −1, an unreachable state) must not become a rounding error,
+    # which scaling would treat as a weak coupling.
     size = np.abs(inverse)
     for exact, terms in (
         (A, alpha * size @ np.abs(G.A - eye)),
@@ -356,7 +359,7 @@ def to_continuous(G: StateSpace, alpha: float | None = None) -> StateSpace:
 
 
 def to_discrete(G: StateSpace, dt: float, alpha: float | None = None) -> StateSpace:
-    """Map a continuous system bilinearly, s = α (z − 1)/(z + 1), the inverse of to_continuous.
+    """Map a continuous system to a discrete one by s = α (z − 1)/(z + 1), the inverse of to_continuous.
 
     Parameters
     ----------
@@ -391,12 +394,12 @@ def to_discrete(G: StateSpace, dt: float, alpha: float | None = None) -> StateSp
 
 
 def prewarped(omega: Frequency, dt: float) -> Frequency:
-    """Map frequencies to those of the bilinear map's continuous system.
+    """Map frequencies of a discrete system to those of its bilinear continuous image.
 
     Parameters
     ----------
     omega : ndarray or float, rad/s
-    dt : float, s; 0: the system is continuous
+    dt : float, s, 0 for a continuous system
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""The blocks of Δ as index sets of M, and the bases of the scalings that commute with them."""
+"""Index sets of M for the blocks of Δ, and bases of the scalings that commute with these blocks."""
 
 import itertools
 
@@ -8,9 +8,9 @@ from lpvguard.engine.blocks import Block
 
 
 class Structure:
-    """The blocks of Δ in M: index sets of rows (inputs of Δ) and columns (outputs of Δ).
+    """Index sets of M for the blocks of Δ: rows (inputs of Δ) and columns (outputs of Δ).
 
-    It also has the real bases of the blocks' D and G scalings.
+    It also holds real bases of the D and G scalings of the blocks.
     """
 
     def __init__(self, blocks: tuple[Block, ...]):
@@ -38,10 +38,11 @@ class Structure:
         self.complex_only = all(b.kind != "repeated_real" for b in blocks)
 
     def coordinates(self, D: np.ndarray, G: np.ndarray) -> np.ndarray:
-        """Coefficients of ``D`` (n_cols, n_cols) in the (orthogonal) basis ``right`` and of ``G`` (n_cols,
-        n_rows) in ``skew``.
+        """Coefficients of ``D`` (n_cols, n_cols) in the basis ``right``, and of ``G`` (n_cols, n_rows) in
+        ``skew``.
 
-        They are one real vector (len(right) + len(skew),), those of D first.
+        They form one real vector (len(right) + len(skew),) that begins with those of D. The bases are
+        orthogonal.
         """
         parts = [
             np.real(np.sum(basis.conj() * value, axis=(1, 2))) / np.sum(np.abs(basis) ** 2, axis=(1, 2))
@@ -50,7 +51,7 @@ class Structure:
         return np.concatenate(parts)
 
     def magnitude(self, G: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """|G| = (G²)^½ of G (n_cols, n_rows) in the places of D_left (n_rows, n_rows) and of D_right (n_cols,
+        """|G| = (G²)^½ of the blocks of G (n_cols, n_rows), as D_left (n_rows, n_rows) and D_right (n_cols,
         n_cols)."""
         left, right = np.zeros((self.n_rows,) * 2, complex), np.zeros((self.n_cols,) * 2, complex)
         for b, r, c in zip(self.blocks, self.row, self.col, strict=True):

@@ -1,8 +1,6 @@
-"""Cells of Table II: a controller per structure and objective, its certificate, and the floor of any
-controller.
+"""Cells of Table II: a controller for each structure and objective, its certificate, and a lower bound of μ.
 
-Seconds are measured for the console; files are made from ``Cell.to_dict`` and ``to_csv``, which leave them
-out.
+The measured seconds are for the console only. ``Cell.to_dict`` and ``to_csv`` leave them out of files.
 """
 
 import csv
@@ -37,10 +35,10 @@ class Cell:
     Attributes
     ----------
     structure : str
-    A_t, A_u : float, the objective
+    A_t, A_u : float, gains of the objective
     result : DKResult, controller with its certificate
-    floor : Floor, lower bound of any controller
-    seconds : float, s of the synthesis
+    floor : Floor, lower bound of μ for every controller
+    seconds : float, s, duration of the synthesis
     """
 
     structure: str
@@ -52,31 +50,31 @@ class Cell:
 
     @property
     def upper(self) -> float:
-        """Certified upper bound of μ (K_inf: of the closed-loop norm)."""
+        """Certified upper bound of μ, or of the closed-loop norm for K_inf."""
         return self.result.performance.upper
 
     @property
     def lower(self) -> float:
-        """Lower bound of the same loop's μ, by a Δ that was checked."""
+        """Lower bound of μ of the same loop, by a checked Δ."""
         return self.result.performance.lower
 
     @property
     def controller(self) -> StateSpace:
-        """The reduced controller, in the plant's time."""
+        """The reduced controller, discrete where the plant is discrete."""
         return self.result.controller
 
     @property
     def order(self) -> int:
-        """States after reduction."""
+        """Number of states after reduction."""
         return self.controller.order
 
     @property
     def full_order(self) -> int:
-        """States before reduction."""
+        """Number of states before reduction."""
         return self.result.full_order
 
     def to_dict(self) -> dict:
-        """The cell without its time: the same input gives the same bytes."""
+        """The cell without its duration, so that the same input gives the same bytes."""
         values = (
             self.structure,
             self.A_t,
@@ -99,7 +97,7 @@ def cell(plant: GeneralisedPlant, structure: str, A_t: float, A_u: float, **opti
     ----------
     plant : GeneralisedPlant
     structure : str
-    A_t, A_u : float, the objective
+    A_t, A_u : float, gains of the objective
     **options : passed to `dk_synthesis`
 
     Returns
@@ -117,7 +115,7 @@ def to_csv(rows: Sequence[dict]) -> str:
 
     Parameters
     ----------
-    rows : Sequence[dict], of ``Cell.to_dict``, with any further columns
+    rows : Sequence[dict], from ``Cell.to_dict``, possibly with further columns
 
     Returns
     -------

@@ -1,9 +1,9 @@
-"""Linear loops whose matrices change from sample to sample: the gain of one history, and its growth.
+"""Gain and growth of a linear loop whose matrices change from sample to sample.
 
-A history is [x(k+1); z(k)] = S_k [x(k); w(k)], k = 0..T − 1, from rest, with each S_k one of a stack. Its
-gain is the largest ‖z‖/‖w‖, ‖·‖ the Euclidean norm over all samples and channels. The bidiagonal iteration of
-Golub and Kahan (1965) on the loop and its adjoint finds the input. A simulation of that input measures the
-gain. The result is therefore reached, and a lower bound of the largest.
+A history is [x(k+1); z(k)] = S_k [x(k); w(k)], k = 0..T − 1, from rest. Each S_k is one matrix of a stack.
+The gain of a history is the largest ‖z‖/‖w‖, with the Euclidean norm over all samples and channels. The
+bidiagonal iteration of Golub and Kahan (1965) on the loop and its adjoint finds an input. A simulation of
+this input measures its gain. The result is therefore a lower bound of the gain of the history.
 """
 
 from dataclasses import dataclass
@@ -18,9 +18,9 @@ from lpvguard.engine.synthesis.statespace import StateSpace, gain, to_discrete
 from lpvguard.engine.synthesis.storage_grid import refined
 
 PARTS = 16
-"""Points of the vehicle's splines in every interval between nodes."""
+"""Number of intervals of the vehicle's splines between two nodes."""
 STEPS = 8
-"""Steps of the bidiagonal iteration, each a simulation forwards and one backwards."""
+"""Steps of the bidiagonal iteration. Each step is one forward and one backward simulation."""
 
 
 @dataclass(frozen=True)
@@ -30,7 +30,7 @@ class History:
     Attributes
     ----------
     S : ndarray (K, n + p, n + m), each [A B; C D]
-    index : ndarray (T,) of int, matrix of each sample
+    index : ndarray (T,) of int, index of the matrix in S for each sample
     n : int, number of states
     """
 
@@ -40,11 +40,11 @@ class History:
 
     @property
     def shape(self) -> tuple[int, int]:
-        """(p, m): outputs and inputs."""
+        """Numbers (p, m) of outputs and inputs."""
         return self.S.shape[1] - self.n, self.S.shape[2] - self.n
 
     def states(self, w: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """[x; w] of every sample (T, n + m) and z (T, p) of the input w (T, m), from rest."""
+        """Simulate the input w (T, m) from rest, and return [x; w] (T, n + m) and z (T, p) of all samples."""
         n = self.n
         both, z = np.zeros((len(w), self.S.shape[2])), np.empty((len(w), self.shape[0]))
         both[:, n:] = w
@@ -58,9 +58,9 @@ class History:
         return both, z
 
     def costates(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Run the adjoint, and return [λ(k + 1); z(k)] of every sample (T, n + p) and its output (T, m).
+        """Simulate the adjoint loop, and return [λ(k + 1); z(k)] (T, n + p) and its output (T, m).
 
-        The output is the gradient of ½‖z‖² by w where z (T, p) is the loop's output.
+        If z (T, p) is the output of the loop, the output of the adjoint is the gradient of ½‖z‖² by w.
         """
         n = self.n
         both, w = np.zeros((len(z), self.S.shape[1])), np.empty((len(z), self.shape[1]))
@@ -75,7 +75,8 @@ class History:
         return both, w
 
     def gain(self, start: np.ndarray, steps: int = STEPS) -> tuple[float, np.ndarray]:
-        """The gain reached and its input w (T, m), of norm 1; ``start`` (T, m): where the search begins."""
+        """Lower bound of the gain, and its input w (T, m) of norm 1. The search begins at ``start`` (T,
+        m)."""
         shape = start.shape
         right: list[np.ndarray] = [start.ravel() / np.linalg.norm(start)]
         left: list[np.ndarray] = []
@@ -88,7 +89,7 @@ class History:
                 return 0.0, start / np.linalg.norm(start)
             left.append(u / alpha[-1])
             v = self.costates(left[-1].reshape(len(start), -1))[1].ravel()
-            for _ in (0, 1):  # twice: once leaves what rounding makes of nearly parallel vectors
+            for _ in (0, 1):  # twice, because of rounding with nearly parallel vectors
                 v -= sum(float(v @ q) * q for q in right)
             beta.append(float(np.linalg.norm(v)))
             if not beta[-1] > 1e-12 * alpha[0]:
@@ -101,8 +102,10 @@ class History:
         return float(np.linalg.norm(self.states(w)[1])), w
 
     def growth(self) -> float:
-        """Factor by which the largest mode grows in a period where the history is one: above 1 the periodic
-        loop is unstable."""
+        """Growth factor of the fastest mode over one period, if the history is one period of a periodic loop.
+
+        The periodic loop is unstable if the factor is above 1.
+        """
         n = self.n
         A = np.ascontiguousarray(self.S[:, :n, :n])
         X, size = np.eye(n), 0.0
@@ -114,9 +117,9 @@ class History:
         return float(np.exp(min(np.log(np.abs(np.linalg.eigvals(X)).max()) + size, 700.0)))
 
     def slopes(self, dS: np.ndarray, w: np.ndarray) -> np.ndarray:
-        """Derivative (T,) of ½‖z‖² by each sample's parameter, for the input w (T, m).
+        """Derivative (T,) of ½‖z‖² by a parameter of each sample, for the input w (T, m).
 
-        S has the derivative ``dS`` (K, n + p, n + m) by this parameter.
+        ``dS`` (K, n + p, n + m) is the derivative of S by this parameter.
         """
         x, z = self.states(w)
         x_after, _ = self.costates(z)
@@ -129,7 +132,7 @@ class History:
 class OverSpeed:
     """Matrices of a family of loops at any speed.
 
-    They are affine between the family's nodes, except for the vehicle's rows, which cubic splines follow.
+    They are affine in the speed between the family's nodes. Cubic splines approximate the vehicle's rows.
 
     Parameters
     ----------
@@ -146,14 +149,15 @@ class OverSpeed:
         self._spline = CubicSpline(grid, np.array([S[self.rows] for S in loops]))
 
     def at(self, speeds: np.ndarray) -> np.ndarray:
-        """S (K, n + p, n + m) at ``speeds`` (K,) [m/s] within the nodes."""
+        """Matrices S (K, n + p, n + m) at ``speeds`` (K,) [m/s] between the first and last node."""
         k, share = self._place(speeds)
         S = self.at_nodes[k] + share[:, None, None] * (self.at_nodes[k + 1] - self.at_nodes[k])
         S[:, self.rows] = self._spline(speeds)
         return S
 
     def derivative(self, speeds: np.ndarray) -> np.ndarray:
-        """dS/dv (K, n + p, n + m); at a node that of the interval that begins there."""
+        """Derivatives dS/dv (K, n + p, n + m) at ``speeds`` (K,), at a node those of the interval above
+        it."""
         k, _ = self._place(speeds)
         width = np.diff(self.nodes)[k]
         dS = (self.at_nodes[k + 1] - self.at_nodes[k]) / width[:, None, None]
@@ -178,7 +182,7 @@ def _whole(family: Family, v: float) -> np.ndarray:
 
 
 def close(S: np.ndarray, n: int, delta: StateSpace) -> np.ndarray:
-    """Close Δ around the first outputs and inputs of a stack.
+    """Close Δ around the first outputs and inputs of each matrix of a stack.
 
     Parameters
     ----------
@@ -193,12 +197,14 @@ def close(S: np.ndarray, n: int, delta: StateSpace) -> np.ndarray:
     Raises
     ------
     SynthesisError
-        If one of these inputs acts on such an output at once.
+        If the loop has a direct term from an output of Δ to an input of Δ.
     """
     q, r = delta.n_inputs, delta.n_outputs
     eta, xi = slice(n, n + q), slice(n, n + r)
     if S[:, eta, xi].any():
-        raise SynthesisError("loop", "Δ's channels", "a direct term", "none: Δ is closed sample by sample")
+        raise SynthesisError(
+            "loop", "Δ's channels", "a direct term", "no direct term from Δ's output to Δ's input"
+        )
     rest_rows, rest_columns = np.r_[:n, n + q : S.shape[1]], np.r_[:n, n + r : S.shape[2]]
     inner, out = S[:, rest_rows][:, :, rest_columns], S[:, rest_rows][:, :, xi]
     into = S[:, eta][:, :, rest_columns]
@@ -214,12 +220,12 @@ def close(S: np.ndarray, n: int, delta: StateSpace) -> np.ndarray:
 
 
 def all_pass(sign: float, corner: float, dt: float) -> StateSpace:
-    """Build sign (c − s)/(c + s) under Tustin's map, of gain 1 at every frequency for a sign of 1 or −1.
+    """Build the discrete image of sign (c − s)/(c + s), whose gain is |sign| at every frequency.
 
     Parameters
     ----------
     sign : float
-    corner : float, rad/s, inf: the constant ``sign``
+    corner : float, rad/s, c; inf gives the constant ``sign``
     dt : float, s
 
     Returns
@@ -235,17 +241,17 @@ def all_pass(sign: float, corner: float, dt: float) -> StateSpace:
 
 
 def steered(slope: np.ndarray, moves: int, places: int) -> np.ndarray:
-    """Find the history of places with the largest sum of slope times place, by dynamic programming.
+    """Find the sequence of places with the largest sum of slope times place, by dynamic programming.
 
     Parameters
     ----------
     slope : ndarray (T,)
-    moves : int, largest change a sample
+    moves : int, largest change of the place from sample to sample
     places : int, number of places
 
     Returns
     -------
-    ndarray (T,) of int, in 0..places − 1
+    ndarray (T,) of int, from 0 to places − 1
     """
     at, reach = np.arange(places), 2 * moves + 1
     best = np.empty((len(slope), places), np.float32)

@@ -1,14 +1,14 @@
 """The worst stable Δ of size 1 for a closed loop, as a system for simulation.
 
 Let γ be the largest gain from [w; n; r_c] to z over ‖Δ_i‖ ≤ 1 at a frequency. The loop with its performance
-rows divided by γ has μ = 1 (skewed μ; Packard & Doyle 1993). The lower bound of μ returns the Δ that
-attains it, a rank-one complex matrix per block, Δ_i = u vᴴ. A stable all-pass takes any phase at one
-frequency, so
+rows divided by γ has μ = 1 (skewed μ; Packard & Doyle 1993). The lower bound of μ gives the Δ that attains
+it: a complex rank-one matrix Δ_i = u vᴴ for each block. A stable all-pass can have any phase at one
+frequency. Therefore
 
     Δ_i(s) = u(s) v(s)ᵀ,     u_k(s) = ±|u_k| (β_k − s)/(β_k + s),  v alike,
 
-has σ̄(Δ_i(jω)) = ‖u‖ ‖v‖ = 1 at every ω and equals u vᴴ at the chosen one. In discrete time it is the image
-under Tustin's map. At DC such a Δ is real: there every choice of signs of the real part is tried.
+has σ̄(Δ_i(jω)) = ‖u‖ ‖v‖ = 1 at every ω and equals u vᴴ at the chosen frequency. In discrete time Δ_i is the
+image of this system by Tustin's map. At DC such a Δ is real, and the search tries every combination of signs.
 """
 
 import itertools
@@ -23,17 +23,17 @@ from lpvguard.engine.synthesis.norms import hinf_norm
 from lpvguard.engine.synthesis.statespace import StateSpace, append, gain, lft, prewarped, series, to_discrete
 
 GRID = np.r_[0.0, np.geomspace(1e-3, 1e2, 61)]
-"""rad/s"""
+"""Default frequencies of the search [rad/s]."""
 REFINED = 4
-"""Frequencies, those of largest gain, at which the search goes on to the end."""
+"""Number of frequencies, those with the largest gains, at which the full search runs."""
 GAIN_RTOL = 1e-6
 LEAST_LEVEL = 1e-12
-"""Share of ‖M‖ that stands for a gain of zero."""
+"""Share of ‖M‖ that replaces a gain of zero."""
 
 
 @dataclass(frozen=True)
 class WorstCase:
-    """A worst Δ and its effect.
+    """The worst Δ and its effect on the closed loop.
 
     Attributes
     ----------
@@ -41,7 +41,7 @@ class WorstCase:
     size : float, ‖Δ‖∞, at most 1 within rounding
     frequency : float, rad/s
     gain : float, gain from [w; n; r_c] to z at ``frequency``, measured on the closed loop
-    nominal : float, the same without Δ
+    nominal : float, this gain without Δ
     """
 
     delta: StateSpace
@@ -73,15 +73,15 @@ def worst_case(
 ) -> WorstCase:
     """Search and verify the worst Δ over frequencies.
 
-    Verified are stability, size 1, and the closed loop's stability and gain. Without blocks Δ is of size 0 ×
-    0, and the gain is the nominal peak.
+    The result is checked: Δ is stable with size 1, and the closed loop is stable with this gain. Without
+    blocks Δ has the shape (0, 0), and the gain is the nominal peak.
 
     Parameters
     ----------
     plant : GeneralisedPlant
     controller : StateSpace
-    scaling : Scaling, optional, the loop's certificate, which helps the search
-    omega : array_like (K,), rad/s, those above Nyquist are left out
+    scaling : Scaling, optional, from the certificate of the loop, which helps the search
+    omega : array_like (K,), rad/s, frequencies from Nyquist's on are left out
 
     Returns
     -------
@@ -90,7 +90,7 @@ def worst_case(
     Raises
     ------
     ArithmeticError
-        If no Δ of size 1 was found that keeps the loop stable.
+        If the search finds no Δ of size 1 that keeps the loop stable.
 
     References
     ----------
@@ -123,12 +123,12 @@ def worst_case(
                     )
                 )
     if not candidates:
-        raise ArithmeticError("no Delta of size 1 that keeps the loop stable was found at any frequency")
+        raise ArithmeticError("the search found no Delta of size 1 that keeps the loop stable")
     return max(candidates, key=lambda one: one.gain)
 
 
 class _Search:
-    """Skewed μ at one frequency."""
+    """Search for the largest gain (skewed μ) at one frequency."""
 
     def __init__(self, plant: GeneralisedPlant):
         self.blocks = (*plant.blocks, plant.performance_block)
@@ -137,10 +137,11 @@ class _Search:
         self.cols = np.cumsum([0, *(one.rows for one in plant.blocks)])
 
     def run(self, M: np.ndarray, d: np.ndarray, steps: int) -> tuple[float, np.ndarray]:
-        """The largest gain found and its Δ, each block of size 1; d (τ,): a scaling that helps.
+        """The largest gain that the search finds, and its Δ with blocks of size 1. d (τ,) are helpful
+        scalings.
 
-        Each step takes the Δ of μ with the performance rows divided by the gain reached, and sizes its blocks
-        to 1.
+        Each step divides the performance rows by the gain so far, takes the Δ of the lower bound of μ, and
+        scales its blocks to size 1.
         """
         left, right = (
             np.concatenate([np.full(n, x) for n, x in zip(sizes, [*d, 1.0], strict=True)])
@@ -162,7 +163,7 @@ class _Search:
         return level, best
 
     def gain(self, M: np.ndarray, delta: np.ndarray) -> float:
-        """σ̄ of M from the performance inputs to the performance outputs with Δ closed."""
+        """σ̄ of M, closed with Δ, from the performance inputs to the performance outputs."""
         a, b = self.a, self.b
         inner = np.linalg.solve(np.eye(a) - M[:a, :b] @ delta, M[:a, b:])
         return float(np.linalg.norm(M[a:, b:] + M[a:, :b] @ delta @ inner, 2))
@@ -181,8 +182,10 @@ class _Search:
         return out
 
     def choices(self, delta: np.ndarray, real: bool):
-        """(u, v) per block with Δ_i = u vᴴ and ‖u‖ ‖v‖ = 1. ``real``: the real part, with every choice of
-        signs."""
+        """Pairs (u, v) for each block with Δ_i = u vᴴ and ‖u‖ ‖v‖ = 1.
+
+        With ``real`` they are the real parts, once for every combination of signs.
+        """
         parts = []
         for _, _, block in self._blocks_of(delta):
             U, _, Vh = np.linalg.svd(block)
@@ -196,7 +199,7 @@ class _Search:
 
 
 def _realise(u: np.ndarray, v: np.ndarray, omega: float, dt: float) -> StateSpace:
-    """u(s) v(s)ᵀ with u(jω) v(jω)ᵀ = u vᴴ."""
+    """System u(s) v(s)ᵀ of all-passes with u(jω) v(jω)ᵀ = u vᴴ."""
     warped = prewarped(omega, dt)
     one = np.ones((1, 1))
     left = series(append(*(_all_pass(x, warped) for x in u)), gain(np.repeat(one, len(u), axis=0)))
@@ -206,12 +209,14 @@ def _realise(u: np.ndarray, v: np.ndarray, omega: float, dt: float) -> StateSpac
 
 
 def _all_pass(value: complex, omega: float) -> StateSpace:
-    """A stable system of constant magnitude |value| that equals ``value`` at ``omega`` > 0 (at 0: its real
-    part's sign)."""
+    """Stable system of constant magnitude |value| that equals ``value`` at ``omega`` > 0.
+
+    At ``omega`` = 0 only the sign of the real part of ``value`` counts.
+    """
     size, phase = abs(value), np.angle(value)
     if omega == 0 or abs(np.sin(phase)) < 1e-9:
         return gain([[np.copysign(size, np.cos(phase))]])
-    signed, lag = np.copysign(size, -phase), phase % -np.pi  # of (β − s)/(β + s), within (−π, 0)
+    signed, lag = np.copysign(size, -phase), phase % -np.pi  # phase of (β − s)/(β + s), within (−π, 0)
     beta = omega / np.tan(-0.5 * lag)
     # −1 + 2β/(s + β)
     return StateSpace(

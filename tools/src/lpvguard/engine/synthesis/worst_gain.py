@@ -1,12 +1,12 @@
 """The worst-case gain: the largest gain from disturbances to errors over every Δ of size 1 (THEORY 7.10).
 
-At one frequency γ bounds it where scalings D, G of the blocks of Δ give (skewed μ; Packard & Doyle 1993)
+At one frequency, scalings D, G of the blocks of Δ prove the bound γ if (skewed μ; Packard & Doyle 1993)
 
     diag(D_R, γ² I) − Mᴴ diag(D_L, I) M − j (G M − Mᴴ G) ≻ 0.
 
-With D and G given the least γ is a largest eigenvalue of a Schur complement. The scalings of μ with the
-performance rows divided by γ lower γ, until neither moves. Between frequencies the bound is proved by the
-cells of frequency_cells, which are tested anew at the bound that is returned.
+For given D and G the least γ is the largest eigenvalue of a Schur complement. The iteration divides the
+performance rows by γ, computes the scalings of μ and from them a lower γ, until γ no longer changes. The
+cells of frequency_cells prove the bound between frequencies. They are tested again at the returned bound.
 """
 
 from collections.abc import Sequence
@@ -28,9 +28,9 @@ from lpvguard.engine.synthesis.statespace import StateSpace
 from lpvguard.engine.synthesis.structure import Structure
 
 STEPS = 12
-"""Steps at one frequency."""
+"""Largest number of iterations at one frequency."""
 LARGEST = 1e6
-"""Times the nominal gain; above it the gain counts as unbounded."""
+"""A gain larger than this multiple of the nominal gain counts as unbounded."""
 
 
 def worst_gain(
@@ -46,21 +46,22 @@ def worst_gain(
 
     Parameters
     ----------
-    loop : StateSpace, whose first outputs and inputs are Δ's, the last those of ``performance``
-    blocks : Sequence[Block], of Δ
-    performance : Block, full, z to [w; n; r_c]
-    low, high : float, rad/s, as in `cover`
+    loop : StateSpace
+        Its first outputs and inputs belong to Δ, the last ones to ``performance``.
+    blocks : Sequence[Block], blocks of Δ
+    performance : Block, full block from z to [w; n; r_c]
+    low, high : float, rad/s, interval, see `cover`
     rtol : float, default 0.002
-    least : float, least upper bound returned, default 0.0
+    least : float, smaller upper bounds are not sought, default 0.0
 
     Returns
     -------
-    IntervalBound, upper is inf if no scalings prove stability, or the cells fail when tested again
+    IntervalBound, whose ``upper`` is inf if no scalings prove stability, or the cells fail their final test
 
     Raises
     ------
     SynthesisError
-        If `cover` raises it.
+        If the loop or the interval is not valid (see `cover`).
 
     References
     ----------
@@ -76,7 +77,7 @@ def worst_gain(
         for _ in range(STEPS):
             point = _bound(M, structure, rows, cols, gamma)
             if point is None:
-                # No scaling of a level this low leaves Δ room; a larger one weighs the gain less.
+                # No scalings prove stability at this level. A larger level gives less weight to the gain.
                 if best is not None:
                     break
                 gamma *= 4
@@ -102,11 +103,11 @@ def worst_gain(
 
 
 def proves(bound: IntervalBound, G: StateSpace, structure: Structure, low: float, high: float) -> bool:
-    """Tell whether the cells of ``bound`` prove its level from ``low`` to ``high`` [rad/s], rounding allowed
-    for.
+    """Return whether the cells of ``bound`` prove its level from ``low`` to ``high`` [rad/s] in spite of
+    rounding.
 
-    ``structure`` has the blocks of Δ, then the performance block. With the performance columns divided by the
-    level, Δ of size 1 and performance of gain 1 are proved.
+    ``structure`` has the blocks of Δ, then the performance block. The performance columns are divided by the
+    level. The proof then is that of μ < 1.
     """
     if not np.isfinite(bound.upper):
         return False
@@ -125,12 +126,12 @@ def proves(bound: IntervalBound, G: StateSpace, structure: Structure, low: float
 
 
 def _bound(M: np.ndarray, structure: Structure, rows: int, cols: int, gamma: float) -> PointBound | None:
-    """The least γ for the scalings of μ at level ``gamma``, None where they bound no gain."""
+    """The least γ for the scalings of μ at level ``gamma``, or None where they prove no bound."""
     scaled = M.copy()
     scaled[rows:] /= gamma
     _, _, left, right, skew = upper_bound(scaled, structure, POINT_RTOL)
     left, right = left @ left.conj().T, right @ right.conj().T
-    # The performance block's D becomes 1, and its rows get back the gamma that divided them.
+    # Scale the D of the performance block to 1, and undo the division of its rows by gamma.
     to_one = gamma**2 / float(right[-1, -1].real)
     left, right, skew = left * to_one, right * to_one, skew * to_one
     left[rows:, rows:] = np.eye(len(left) - rows)
@@ -143,7 +144,7 @@ def _bound(M: np.ndarray, structure: Structure, rows: int, cols: int, gamma: flo
 
 
 def _gain(M: np.ndarray, point: PointBound, cols: int) -> float:
-    """The least γ for these scalings, inf where they bound no gain."""
+    """The least γ for these scalings, or inf where they prove no bound."""
     N = quadratic(M, point)
     slack = point.fixed[:cols, :cols] - N[:cols, :cols]
     try:

@@ -1,4 +1,4 @@
-"""Zeros of P12 and P21 on the imaginary axis, and the lower bounds of any controller's level there."""
+"""Zeros of P12 and P21 on the imaginary axis, and the lower bounds of γ that they imply."""
 
 from dataclasses import replace
 
@@ -10,15 +10,15 @@ from lpvguard.engine.synthesis.riccati import Side, balance_hamiltonian, hamilto
 from lpvguard.engine.synthesis.statespace import StateSpace
 
 ZERO_RTOL = 1e-12
-"""A system matrix this near to losing rank, by parts of its entries, has a zero."""
+"""Largest ``rank_defect`` at a zero."""
 
 
 def axis_zeros(side: Side, scale: float) -> tuple[float, ...]:
     """Frequencies of the imaginary-axis zeros of x' = A x + B2 u, z = C1 x + D12 u.
 
-    Candidates are the axis eigenvalues of its LQ problem. Those are at least double, so rounding moves them
-    by the square root of eps times the norm (``scale``: that of A). A slow zero then looks like one on the
-    axis. There is a zero only where the system matrix itself loses rank.
+    Candidates are the eigenvalues of its LQ problem on the axis. These are at least double, so rounding moves
+    them by the square root of eps times ``scale``, the norm of A. A slow zero may therefore look like one on
+    the axis. A candidate is a zero only where the system matrix itself loses rank.
     """
     H = hamiltonian(replace(side, B1=side.B1[:, :0], D11=side.D11[:, :0]), 1.0)
     eigenvalues = np.linalg.eigvals(balance_hamiltonian(H)[0])
@@ -47,8 +47,8 @@ def rank_defect(side: Side, omega: float) -> float:
     """Distance of the system matrix ``[A − jωI, B2; C1, D12]`` from loss of column rank, relative to its
     entries.
 
-    It is the smallest singular value after rows and columns are brought to unit size. 0 means that jω is a
-    zero, ``omega`` in rad/s.
+    It is the smallest singular value after scaling of the rows and columns to similar size. 0 means that j
+    ``omega`` (in rad/s) is a zero.
     """
     M = np.block([[side.A - 1j * omega * np.eye(len(side.A)), side.B2], [side.C1, side.D12]])
     if M.shape[0] < M.shape[1]:
@@ -61,11 +61,11 @@ def rank_defect(side: Side, omega: float) -> float:
 
 
 def axis_bounds(P: Plant, frequencies: tuple[float, ...]) -> list[float]:
-    """Parrott bounds at the zeros on the imaginary axis, ``frequencies`` in rad/s, two for each.
+    """Two Parrott bounds at each zero on the imaginary axis, with ``frequencies`` in rad/s.
 
-    There the loop cannot change part of T11 + T12 Q T21. The stable factors of all closed loops are T11, T12
-    and T21 (Zhou, Doyle & Glover 1996, section 12.8). They use an LQ gain F and its dual L. A column that
-    vanishes at the zero is rounding and counts as a direction, so a single control gives no bound.
+    All stable closed loops are T11 + T12 Q T21 (Zhou, Doyle & Glover 1996, section 12.8). An LQ gain F and
+    its dual L define the factors. At a zero no Q can change part of this sum. A column that vanishes at the
+    zero is rounding and still counts as a direction, so a single control gives no bound.
     """
     if not frequencies:
         return []

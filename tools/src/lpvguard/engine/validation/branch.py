@@ -1,4 +1,5 @@
-"""Branch and bound of the quadratic problem over cones of sizes and boxes of repeated blocks' scalars."""
+"""Branch and bound of the quadratic problem, over cones of sizes and boxes of the repeated blocks'
+scalars."""
 
 import heapq
 from collections.abc import Sequence
@@ -14,18 +15,19 @@ GAP = 1e-4
 """Relative gap between the two bounds at which the branch and bound stops."""
 
 MAX_NODES = 5000
-"""Number of nodes after which the branch and bound stops with the present interval."""
+"""The branch and bound stops with its present interval after this number of nodes."""
 
 SLACK = 1e-5
-"""Relative distance by which a separately proved level lies below the level that the search found."""
+"""A separate proof uses a level that lies below the result of the search by this relative distance."""
 
 COSTLY = 24
-"""Number of multipliers of repeated blocks from which on the relaxation is used less often."""
+"""With more multipliers of repeated blocks than this, the relaxation is used less often."""
 
 
 @dataclass(frozen=True)
 class Interval:
-    """Interval: ``lower`` is certified, ``upper`` is attained at ``z`` (n,); inf and None without a point."""
+    """Bounds of the optimum. ``lower`` is certified. ``z`` (n,) attains ``upper``, or it is None and
+    ``upper`` inf."""
 
     lower: float
     upper: float
@@ -54,7 +56,7 @@ class Incumbent:
         self.offer(polish(self._problem, z))
 
     def start(self, points: Sequence[np.ndarray]) -> float:
-        """Offer the points and their local improvements; return the least cost before any local search."""
+        """Offer the points and their local improvements. Returns the least cost before any local search."""
         for z in points:
             self.offer(z)
         raw = self.cost
@@ -65,10 +67,11 @@ class Incumbent:
 
 @dataclass(frozen=True)
 class _NodeBounds:
-    """Bounds of a node's cost: ``lower`` (the best one), those of the tangent and of the relaxation.
+    """Bounds of the cost of a node.
 
-    The relaxation's bounds hold at the ``edges`` of the cone and on its ``central`` ray. They are -inf and
-    inf if the relaxation was left out. ``readings``: points to offer.
+    ``lower`` is the best lower bound. ``edges`` and ``central`` are bounds of the relaxation at the edges of
+    the cone and on its central ray. They are -inf and inf without the relaxation. ``tangent`` holds the
+    bounds of the tangent. ``readings`` are candidate points.
     """
 
     lower: float
@@ -95,11 +98,11 @@ def minimise(
     points: Sequence[np.ndarray] = (),
     enough: float = 0.0,
 ) -> Interval:
-    """Bound the optimum by best-first branch and bound; the upper bound is inf if no point was found.
+    """Bound the optimum by best-first branch and bound. The upper bound is inf without a feasible point.
 
-    ``points`` (n,) are known explanations to begin with. A cost below ``zero`` times the cost of the first
-    found point counts as zero and ends the search. The search also ends when it is known whether the optimum
-    is at most ``enough``.
+    The search begins with the known explanations ``points``, each (n,). A cost below ``zero`` times the cost
+    of the first feasible point counts as zero and ends the search. The search also ends when it is decided
+    whether the optimum is at most ``enough``.
     """
     free = problem.zero()
     if free is not None:
@@ -110,8 +113,8 @@ def minimise(
 def proves(problem: Quadratic, level: float, cost: float, max_nodes: int = 2 * MAX_NODES) -> bool:
     """Prove that no point of ``problem`` costs less than ``level``; False if there is no proof.
 
-    Every final node of the proof is bounded again. ``cost`` is the cost of a known point, not below
-    ``level``; it affects only the choice of the cuts. The result is False if ``max_nodes`` nodes are not
+    Every final node of the proof is bounded again. ``cost`` is the cost of a known point and at least
+    ``level``. It affects only the choice of the cuts. The result is False if ``max_nodes`` nodes are not
     enough.
     """
     if level <= 0.0:
@@ -140,8 +143,9 @@ class _Search:
         self.relaxation, self.best = Relaxation(problem), Incumbent(problem)
         self._polished = 0
         self._first_boxes: dict[int, Box] = {}
-        # A Newton step costs the cube of the number of multipliers: with two larger blocks the relaxation
-        # costs fifty times the tangent, and is left out if the tangent gave the better bound.
+        # The time of a Newton step grows with the cube of the number of multipliers. With two larger blocks
+        # the relaxation takes fifty times as long as the tangent. It is left out if the tangent gave the
+        # better bound.
         self._costly = (
             sum(
                 (3 if f.repeated == "repeated_real" else 2) * len(f.a) ** 2
@@ -152,7 +156,7 @@ class _Search:
         )
 
     def run(self, max_nodes: int, zero: float, points: Sequence[np.ndarray], enough: float) -> Interval:
-        """Run the search; arguments as for :func:`minimise`."""
+        """Run the search with the parameters of :func:`minimise`."""
         best, serial = self.best, 0
         first = best.start([self.problem.origin(), *points])
         open_nodes = [BranchNode(0.0, serial, np.eye(self.problem.params), {})]
@@ -183,7 +187,8 @@ class _Search:
         return Interval(min(closed, remaining, best.cost), best.cost, best.z, serial + 1)
 
     def _bound(self, node: BranchNode) -> _NodeBounds:
-        """Bound a node by its boxes, then the tangent, then (if still open) the relaxation."""
+        """Bound a node by its boxes, then by the tangent, and then, if it is still open, by the
+        relaxation."""
         best = self.best
         lower = max(node.lower, self.relaxation.box_bound(node, set(range(self.problem.params))))
         tangent = self.relaxation.tangent(node, best.cost)
@@ -199,7 +204,8 @@ class _Search:
         return _NodeBounds(lower, edges, central, tangent, readings)
 
     def _read(self, readings: list[np.ndarray]) -> None:
-        """Offer a node's points: the first ones with a local search, later ones only if they improve."""
+        """Offer the points of a node. Each of the first points gets a local search, later ones only if they
+        improve."""
         best = self.best
         for z in readings if self._polished < MAX_POLISHED else readings[:1]:
             before = best.cost
@@ -237,8 +243,7 @@ class _Search:
         """(rays, boxes) of the two halves of a node's widest box; None if no box can be cut."""
         problem, rays, boxes = self.problem, node.rays, node.boxes
         if not boxes:
-            # A block without a cap and without a cost has no bounded box: its part of the interval
-            # stays open.
+            # A block without a cap and without a cost has no bounded box and cannot be cut.
             boxes = {
                 k: self._first_box(k) for k in problem.repeated if np.isfinite(problem.forms[k].constant)
             }

@@ -1,4 +1,4 @@
-"""Build and verify the perturbation that explains the data: Delta_i from (xi_i, eta_i) for each block."""
+"""Build each Delta_i from (xi_i, eta_i), and verify that Delta explains the data."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -10,8 +10,10 @@ from lpvguard.engine.blocks import Block
 
 
 def split(blocks: Sequence[Block], vector: np.ndarray, side: str) -> list[np.ndarray]:
-    """Split a stacked xi (Σrows,) (``side`` 'rows'), eta (Σcols,) ('cols') or a map (Σ, m) to it by
-    blocks."""
+    """Split a stacked signal or a map (Σ, m) to it by blocks.
+
+    The signal is xi (Σrows,) for the ``side`` 'rows', or eta (Σcols,) for 'cols'.
+    """
     ends = np.cumsum([getattr(b, side) for b in blocks])
     return np.split(vector, ends[:-1])
 
@@ -28,7 +30,7 @@ def least_size(xi: np.ndarray, eta: np.ndarray) -> float:
 
 
 def construct(block: Block, xi: np.ndarray, eta: np.ndarray) -> np.ndarray:
-    """Build the Delta_i (rows, cols) of least norm and the block's structure that maps ``eta`` to ``xi``.
+    """Build the Delta_i (rows, cols) of least norm with the block's structure that maps ``eta`` to ``xi``.
 
     A full block is xi eta^* / |eta|^2. A repeated block is ``delta I`` with ``delta = eta^* xi / |eta|^2``; a
     real block uses the real part. Call :func:`verify` to check that this delta maps eta to xi. Raises
@@ -49,8 +51,8 @@ def construct(block: Block, xi: np.ndarray, eta: np.ndarray) -> np.ndarray:
 class Verification:
     """Result of :func:`verify`.
 
-    ``deltas``: one Delta_i (rows, cols) per block; ``sizes`` (tau,): their largest singular values.
-    ``residual``: |e - M [xi; w]| relative to |e|, where xi = Delta eta is simulated again.
+    ``deltas`` has one Delta_i (rows, cols) for each block. ``sizes`` (tau,) are their largest singular
+    values. ``residual`` is |e - M [xi; w]| relative to |e|, where xi = Delta eta comes from a new simulation.
     """
 
     deltas: list[np.ndarray]
@@ -63,9 +65,10 @@ def verify(
 ) -> Verification:
     """Build Delta from (xi, w), close the loop with it and check that it reproduces the data.
 
-    ``p`` holds P11, P12, P21, P22 and eta0 = P13 u; ``nu`` (tau,). The loop is closed by solving (I - P11
-    Delta) eta = P12 w + eta0, so xi is only used to build Delta. Raises InputError when a block is larger
-    than its nu or the data are not reproduced. Every explanation of this package is verified in this way.
+    ``p`` holds P11, P12, P21, P22 and eta0 = P13 u. ``nu`` (tau,) bounds the sizes. The solution of (I - P11
+    Delta) eta = P12 w + eta0 closes the loop, so xi is only used to build Delta. Raises InputError when a
+    block is larger than its nu or the data are not reproduced. Every explanation of this package is verified
+    in this way.
     """
     eta = p["P11"] @ xi + p["P12"] @ w + p["eta0"]
     pieces = list(zip(blocks, split(blocks, xi, "rows"), split(blocks, eta, "cols"), strict=True))
@@ -80,7 +83,9 @@ def verify(
     y = p["P21"] @ (full @ closed) + p["P22"] @ w
     residual = float(np.linalg.norm(e - y) / max(np.linalg.norm(e), np.finfo(float).tiny))
     if residual > rtol:
-        raise InputError("Delta", "re-simulated data", f"off by {residual:.3g} relative", f"at most {rtol:g}")
+        raise InputError(
+            "Delta", "re-simulated data", f"a relative error of {residual:.3g}", f"at most {rtol:g}"
+        )
     if np.any(sizes > np.asarray(nu) * (1.0 + rtol)):
         raise InputError("Delta", "size", f"{sizes}", f"at most nu = {np.asarray(nu)}")
     return Verification(deltas, sizes, residual)

@@ -3,11 +3,11 @@
     eta = P11 xi + P12 w + eta0 (= P13 u),   e = P21 xi + P22 w,   xi_i = Delta_i eta_i
 
 with full complex, repeated complex and repeated real blocks (Lim). Every solution of the second equation is
-``x = maps @ (phi, psi, 1)`` with phi = U1^* w free inside the ball (5) and psi completely free
+``x = maps @ (phi, psi, 1)`` where phi = U1^* w is free inside the ball (5) and psi is completely free
 (:func:`problem.parametrise`). The remaining quadratic problem is not convex (``quadratic``). The S-procedure
 (``relaxation``) in a branch and bound (``branch``) gives the lower bound. A feasible point from a local
 search (``local_search``) gives the upper bound. The bounds meet for one or two full blocks and a disturbance
-ball; otherwise an interval is left. Both bounds are returned.
+ball. Otherwise a gap between them may remain. Both bounds are returned.
 """
 
 from dataclasses import replace
@@ -32,7 +32,7 @@ from lpvguard.engine.validation.scaled_problem import (
 from lpvguard.engine.validation.well_posed import block_caps
 
 ZERO = 1e-12
-"""A squared size below this fraction of that of the first point found counts as zero where zero is
+"""A squared size below this fraction of the first feasible point's counts as zero where zero is
 attainable."""
 
 
@@ -47,7 +47,7 @@ def optimum(
     gamma_w : float, bound on |w|
     lambda_nu : array_like (tau,), >= 0
     lambda_w : array_like (n_w,), optional, >= 0, by default 0
-    gap : float, relative distance of the two sides
+    gap : float, relative gap between the bounds
 
     Returns
     -------
@@ -103,14 +103,15 @@ def _proved(problem: Quadratic, interval: Interval, source: str) -> Interval:
         raise InputError(
             source,
             "the lower bound",
-            f"not proved: a cost of at least {lower:.9g}; {interval.upper:.9g} is attained",
+            f"not proved: the cost is at least {lower:.9g}, and {interval.upper:.9g} is attained",
             "data scaled to similar sizes",
         )
     return replace(interval, lower=lower)
 
 
 def _one_block(problem: Quadratic, caps: np.ndarray, scaled: ScaledProblem) -> Interval | None:
-    """Solve by the compiled S2 kernel; None unless there is one full block and a plain quadratic cost."""
+    """Solve by the compiled S2 kernel, for one full block and a plain quadratic cost; None for other
+    problems."""
     if len(problem.forms) != 3 or problem.repeated:
         return None
     ball_form, block, cost = problem.forms
@@ -148,9 +149,9 @@ def _one_block(problem: Quadratic, caps: np.ndarray, scaled: ScaledProblem) -> I
 
 
 def _last_block_is_free(problem: Lft, gamma_w: float, gap: float, max_nodes: int) -> bool:
-    """Tell if e is explained without the last block, by a disturbance of at most gamma_w.
+    """Return whether a disturbance of at most gamma_w explains e without the last block.
 
-    Only for structures with repeated blocks. Otherwise the least-squares point of
+    This is only for structures with repeated blocks. In others the least-squares point of
     :meth:`quadratic.Quadratic.zero` decides.
     """
     last = len(problem.blocks) - 1
@@ -183,9 +184,9 @@ def smallest_last_block(
     ----------
     problem : Lft
     gamma_w : float, bound on |w|
-    gap : float, relative distance of the two sides
-    max_nodes : int, of the branch and bound
-    known : Solution, optional, explanation at the same gamma_w, start of the search
+    gap : float, relative gap between the bounds
+    max_nodes : int, largest number of nodes of the branch and bound
+    known : Solution, optional, explanation at the same gamma_w, from which the search starts
 
     Returns
     -------
@@ -194,7 +195,7 @@ def smallest_last_block(
     Raises
     ------
     InputError
-        If `optimum` raises it, or the size is at or above the cap of the block.
+        If `optimum` would raise it, or the size is at or above the cap of the block.
     """
     scaled = scaled_problem(problem, gamma_w)
     last = len(problem.blocks) - 1
@@ -234,9 +235,9 @@ def smallest_common_size(
     ----------
     problem : Lft
     gamma_w : float, bound on |w|
-    gap : float, relative distance of the two sides
-    max_nodes : int, of the branch and bound
-    known : Solution, optional, explanation at the same gamma_w, start of the search
+    gap : float, relative gap between the bounds
+    max_nodes : int, largest number of nodes of the branch and bound
+    known : Solution, optional, explanation at the same gamma_w, from which the search starts
 
     Returns
     -------
@@ -262,7 +263,7 @@ def margin(problem: Lft, w_delta: ArrayLike, w_w: ArrayLike, *, gap: float = GAP
     problem : Lft
     w_delta : array_like (tau,), > 0
     w_w : array_like (n_w,), > 0
-    gap : float, relative distance of the two sides
+    gap : float, relative gap between the bounds
 
     Returns
     -------

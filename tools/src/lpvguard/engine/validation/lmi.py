@@ -2,8 +2,8 @@
 
 The multipliers y are split into groups. A scalar group is one number >= 0. A matrix group parametrises a
 Hermitian D >= 0 (the D-scaling of a repeated block). A free group has no sign (the G-scaling of a real
-block). The traces of all groups with a sign sum to one. A positive x proves that the forms z^* Q_j z (and
-their matrix versions) cannot all be <= 0 at once: the S-procedure. The method is Newton's method on a log
+block). The traces of all groups with a sign sum to one. By the S-procedure, a positive x proves that the
+forms z^* Q_j z (and their matrix versions) cannot all be <= 0 at once. The method is Newton's method on a log
 barrier. The forms have at most about ten rows. Each iterate is feasible, so the bound is rigorous wherever
 the iteration stops.
 """
@@ -17,22 +17,22 @@ from lpvguard.base import native
 from lpvguard.base.errors import InputError
 
 SIZES = ({"N": 16, "M": 64, "R": 4}, {"N": 64, "M": 256, "R": 16})
-"""Rows, multipliers and order of a group that the arrays of base/_native/ray.c hold, compiled for either."""
+"""Two sets of array sizes of base/_native/ray.c: rows, multipliers, and order of a group."""
 
 
 @dataclass(frozen=True)
 class Cone:
     """Cones of the multipliers.
 
-    ``start[g]`` and ``size[g]`` locate group g in y. ``order[g]`` is r for Hermitian r x r PSD matrices (r =
-    1: a number >= 0) and 0 for a free group.
+    ``start[g]`` and ``size[g]`` locate group g in y. ``order[g]`` is r for positive semidefinite r x r
+    matrices (numbers >= 0 for r = 1), and 0 for a free group.
     """
 
     start: tuple[int, ...]
     size: tuple[int, ...]
     order: tuple[int, ...]
     normal: np.ndarray
-    """(m,) coefficients of the normalisation: traces of the signed groups."""
+    """Coefficients (m,) of the normalisation, the sum of the traces of all groups with a sign."""
 
 
 def hermitian_basis(r: int) -> np.ndarray:
@@ -62,7 +62,8 @@ def gram(left: np.ndarray, right: np.ndarray, basis: np.ndarray | None) -> np.nd
 
 
 def cone(groups: list[tuple[str, int]]) -> Cone:
-    """Make the cone of groups: ('psd', r) for a matrix D >= 0 (r x r), ('free', r) for one without a sign."""
+    """Make the cone of groups: ('psd', r) for r x r matrices D >= 0, ('free', r) for matrices without a
+    sign."""
     sizes = [(r * r, r if kind == "psd" else 0) for kind, r in groups]
     start = np.concatenate([[0], np.cumsum([size for size, _ in sizes])[:-1]]).astype(int)
     normal = np.concatenate([np.arange(size) < order for size, order in sizes]).astype(float)
@@ -78,7 +79,7 @@ def cone(groups: list[tuple[str, int]]) -> Cone:
 class Centre:
     """A feasible ``y`` with level ``x``.
 
-    The optimum is below ``x_above``. ``inverse`` ~ (Q(y) - x I)^-1 is the primal.
+    The optimum is below ``x_above``. ``inverse``, proportional to (Q(y) - x I)^-1, is the primal matrix.
     """
 
     y: np.ndarray
@@ -88,7 +89,8 @@ class Centre:
 
 
 def _compiled(n: int, c: Cone) -> ctypes.CDLL:
-    """The kernel of the smallest sizes that hold a problem of ``n`` rows; InputError beyond all of them."""
+    """Kernel with the smallest arrays that can hold a problem of ``n`` rows. Raises InputError if none
+    can."""
     asked = {"N": n, "M": len(c.normal), "R": max(c.order)}
     for sizes in SIZES:
         if all(asked[key] <= sizes[key] for key in sizes):
@@ -108,7 +110,7 @@ def _groups(c: Cone) -> list[np.ndarray]:
 def maximise_level(q: np.ndarray, c: Cone, *, relative: float = 0.1, absolute: float = 1e-9) -> Centre:
     """Solve the problem of the module's docstring by path-following.
 
-    ``q`` (m, n, n) Hermitian forms, scaled to order one. It stops when the optimal level is known within
+    ``q`` (m, n, n) are Hermitian forms of order one. The search stops when the optimal level is known within
     ``relative`` of its magnitude or within ``absolute``. It also stops when the level is proved to be
     negative.
     """
@@ -175,10 +177,10 @@ def ray_length(
 ) -> tuple[float, np.ndarray | None, np.ndarray | None]:
     """Largest certified length, its multipliers y (m,) or None, and the primal matrix (n, n) at the end.
 
-    ``q0``, ``level`` (m, n, n): the forms are Q0 - length L, L >= 0. No point satisfies all of them at a
-    smaller length. The method is Dinkelbach's iteration: each y is used up to the largest length that it
-    proves. Far from the end such a step can be a hundred times too short, so steps of bisection come between.
-    The search stops at ``cutoff``.
+    The forms are Q0 - length L with L >= 0, from ``q0`` and ``level`` (m, n, n). No point satisfies all of
+    them at a smaller length. The method is Dinkelbach's iteration, which uses each y up to the largest length
+    that it proves. Far from the end such a step can be a hundred times too short, so steps of bisection lie
+    between. The search stops at ``cutoff``.
     """
     m, n = q0.shape[:2]
     q0, level = np.ascontiguousarray(q0, dtype=complex), np.ascontiguousarray(level, dtype=complex)

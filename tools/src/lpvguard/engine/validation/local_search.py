@@ -1,4 +1,5 @@
-"""Find feasible points of the quadratic problem: local improvement, and first points for repeated blocks."""
+"""Find feasible points of the quadratic problem: improve points locally, and find first ones with repeated
+blocks."""
 
 import numpy as np
 from scipy.optimize import minimize
@@ -9,13 +10,13 @@ SAMPLES = 150
 """Number of random scalars of repeated blocks in the search for a first feasible point."""
 
 MAX_POLISHED = 6
-"""Number of relaxed solutions with a local search each; later ones get it only if they improve."""
+"""Each of the first relaxed solutions gets a local search; later ones get it only if they are better."""
 
 
 class _Smooth:
     """The quadratic problem as a smooth problem: min sum_j p_j over real unknowns v, with exact derivatives.
 
-    v = (Re theta, Im theta, p over their first sum, Re and Im of each repeated block's scalar). The
+    v = (Re theta, Im theta, p divided by their first sum, Re and Im of each repeated block's scalar). The
     constraints are scaled by their values at the starting point ``z`` (n,).
     """
 
@@ -146,10 +147,11 @@ def polish(problem: Quadratic, z: np.ndarray) -> np.ndarray | None:
 
 
 def repeated_starts(problem: Quadratic) -> list[np.ndarray]:
-    """Find points (n,) inside the constant constraints with repeated blocks: samples, then descent.
+    """Find points (n,) that fulfil the constraints without a size, for problems with repeated blocks.
 
-    The scalars are sampled up to a few times a reference size. At that size the block reaches the scale of
-    its output from its constant input. The seed is fixed.
+    Random scalars of the blocks are drawn first, and a descent improves the best draws. The largest draw is a
+    few times a reference size, at which the constant input of the block gives the scale of its output. The
+    seed is fixed.
     """
     if not problem.repeated:
         return []

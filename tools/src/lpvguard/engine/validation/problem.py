@@ -1,4 +1,4 @@
-"""One frequency point of (1) in the paper, and all signals that satisfy its second equation, (4) to (7)."""
+"""Equation (1) of the paper at one frequency, and all signals that satisfy its second line, (4) to (7)."""
 
 from dataclasses import dataclass
 
@@ -8,7 +8,7 @@ from lpvguard.base.errors import InputError
 from lpvguard.engine.blocks import Block
 
 RANK_TOLERANCE = 1e-10
-"""Singular values below this fraction of the largest one count as zero (columns have a common size)."""
+"""Singular values below this fraction of the largest one count as zero, after scaling of the columns."""
 
 IMAGE_TOLERANCE = 1e-8
 """e counts as in Im M if its part outside Im M is below this fraction of |e|."""
@@ -16,11 +16,11 @@ IMAGE_TOLERANCE = 1e-8
 
 @dataclass(frozen=True)
 class Lft:
-    """One frequency point of (1).
+    """Equation (1) of the paper at one frequency.
 
     Attributes
     ----------
-    blocks : tuple of Block, whose rows sum to p and cols to q
+    blocks : tuple of Block, with p rows and q columns in total
     p11 : ndarray (q, p) of complex
     p12 : ndarray (q, n_w) of complex
     p21 : ndarray (n_y, p) of complex
@@ -32,7 +32,7 @@ class Lft:
     Raises
     ------
     InputError
-        If shapes do not fit or values are not finite; the error names ``source``.
+        If shapes do not fit or values are not finite. The error names ``source``.
     """
 
     blocks: tuple[Block, ...]
@@ -120,8 +120,8 @@ def parametrise(problem: Lft) -> Parametrisation:
     null = scale[:, None] * vh[rank:].conj().T
     w_p, n_w = particular[p:], null[p:]
     u_w, s_w, vh_w = np.linalg.svd(n_w)
-    # In scaled columns the null space is orthonormal: a part in w below the tolerance is rounding, even where
-    # no larger one stands beside it.
+    # In scaled columns the null space is orthonormal. A part in w below the tolerance is therefore rounding,
+    # even if it is the largest part.
     n_phi = int(np.sum(s_w > RANK_TOLERANCE * scale[-1]))
     u1, v1, v2 = u_w[:, :n_phi], vh_w[:n_phi].conj().T, vh_w[n_phi:].conj().T
     w_min = w_p - u1 @ (u1.conj().T @ w_p)

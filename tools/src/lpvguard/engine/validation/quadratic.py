@@ -1,7 +1,8 @@
 """The non-convex quadratic problem of an LFT point: the least sizes p over all signals z.
 
-min sum_j p_j over z = (theta, 1) and p >= 0 subject to :class:`Form` s. A full block or the disturbance's
-ball is a form. A repeated block is a form and an equation a z = delta b z with one scalar delta.
+The problem is min sum_j p_j over z = (theta, 1) and p >= 0 subject to :class:`Form` s. A full block or the
+disturbance's ball is a form. A repeated block is a form and an equation a z = delta b z with one scalar
+delta.
 """
 
 from collections.abc import Sequence
@@ -12,7 +13,7 @@ import numpy as np
 from lpvguard.engine.validation.problem import RANK_TOLERANCE
 
 CANCELLED = 1e-12
-"""A sum of terms that is below this fraction of the terms counts as rounding."""
+"""A sum below this fraction of the size of its terms counts as rounding."""
 
 
 @dataclass(frozen=True)
@@ -21,7 +22,7 @@ class Form:
 
     ``a`` (r, n), ``b`` (r', n); r = r' for a repeated block, whose kind is ``repeated``. ``param`` -1 means
     that only the constant acts. The constant is inf if a repeated block has no bound (an infinite cap).
-    ``parts``: the signals that are stacked in a, if there are several.
+    ``parts`` holds the signals that ``a`` stacks, if there are several.
     """
 
     a: np.ndarray
@@ -34,15 +35,16 @@ class Form:
 
 
 def cancels(a: np.ndarray, z: np.ndarray) -> bool:
-    """Tell if a @ z is zero up to the rounding of its terms; ``a`` (r, n), ``z`` (n,)."""
+    """Return whether a @ z is zero up to the rounding of its terms, for ``a`` (r, n) and ``z`` (n,)."""
     return bool(np.linalg.norm(a @ z) <= CANCELLED * np.linalg.norm(np.abs(a) @ np.abs(z)))
 
 
 class Quadratic:
     """Problem: min sum_j p_j over z = (theta, 1) of length ``n`` and ``params`` sizes p >= 0, s.t. ``forms``.
 
-    ``repeated``: indices of the forms of repeated blocks. ``boxed``: sizes that depend on one repeated block
-    only. The box of that block bounds the size, so the size needs no separate direction.
+    ``repeated`` holds the indices of the forms of repeated blocks. ``boxed`` holds the sizes that depend on
+    one repeated block only. The box of this block bounds such a size, so the size needs no separate
+    direction.
     """
 
     def __init__(self, forms: Sequence[Form], params: int, n: int):
@@ -58,7 +60,8 @@ class Quadratic:
         return np.append(np.zeros(self.n - 1, dtype=complex), 1.0)
 
     def scalar(self, k: int, z: np.ndarray) -> complex:
-        """Best scalar of repeated form ``k`` to map b z to a z, real for a real block; 0 for b z = 0."""
+        """Scalar of repeated form ``k`` that maps b z best to a z, real for a real block and 0 for b z =
+        0."""
         f = self.forms[k]
         xi, eta = f.a @ z, f.b @ z
         power = np.vdot(eta, eta).real
@@ -66,7 +69,7 @@ class Quadratic:
         return d.real if f.repeated == "repeated_real" else d
 
     def cost(self, z: np.ndarray) -> float:
-        """Sum of the least sizes for ``z`` (n,); inf outside the constant constraints."""
+        """Sum of the least sizes for ``z`` (n,), or inf where ``z`` violates a constraint without a size."""
         p = np.zeros(self.params)
         for f in self.forms:
             a, b = np.linalg.norm(f.a @ z) ** 2, f.slope * np.linalg.norm(f.b @ z) ** 2
@@ -80,15 +83,15 @@ class Quadratic:
     def on_subspace(
         self, z: np.ndarray, deltas: dict[int, complex]
     ) -> tuple[np.ndarray, np.ndarray | None] | None:
-        """Project ``z`` on the constraints a z = delta b z; return also a basis (n - 1, m) of free
+        """Project ``z`` on the constraints a z = delta b z. Returns also a basis (n - 1, m) of the free
         directions.
 
-        ``deltas``: scalar by index of a repeated form. The basis is None without repeated forms, because all
-        directions are free. The result is None if the constraints have no solution.
+        ``deltas`` maps the index of a repeated form to its scalar. The basis is None without repeated forms,
+        because all directions are free. The result is None if the constraints have no solution.
         """
         if not deltas:
             return z, None
-        # The rows of each block are scaled separately: sizes of blocks may be 1e10 apart.
+        # The rows of each block are scaled separately, because sizes of blocks may differ by 1e10.
         scaled, sizes = [], []
         for k, d in deltas.items():
             f = self.forms[k]
@@ -106,14 +109,14 @@ class Quadratic:
         return z, vh[rank:].conj().T
 
     def repair(self, z: np.ndarray) -> np.ndarray | None:
-        """A point near ``z`` (n,) that satisfies the constant constraints exactly, or None."""
+        """A point near ``z`` (n,) that satisfies the constraints without a size exactly, or None."""
         projected = self.on_subspace(z, {k: self.scalar(k, z) for k in self.repeated})
         if projected is None:
             return None
         z, null = projected
         fixed = [f for f in self.forms if f.param < 0 and not f.repeated and np.isfinite(f.constant)]
         for f in fixed:
-            # A constant constraint is a ball, as b z is the same for all theta: shrink towards its centre.
+            # A constraint without a size is a ball, because b z is constant. Move towards its centre.
             limit = f.constant * f.slope * np.linalg.norm(f.b @ z) ** 2
             if np.linalg.norm(f.a @ z) ** 2 <= limit * (1.0 + 1e-12):
                 continue
@@ -130,10 +133,11 @@ class Quadratic:
         return z
 
     def inside(self, deltas: dict[int, complex]) -> tuple[float, np.ndarray | None]:
-        """(ratio, z) of the point with a z = delta b z that violates the constant constraints least.
+        """The point z with a z = delta b z that violates the constraints without a size least, after its
+        ratio.
 
-        ``deltas`` as for :meth:`on_subspace`. A point with a ratio of at most 1 is inside. The ratio is inf
-        and z is None if no point has these scalars.
+        ``deltas`` is that of :meth:`on_subspace`. A point with a ratio of at most 1 is inside. The ratio is
+        inf and z is None if no point has these scalars.
         """
         projected = self.on_subspace(self.origin(), deltas)
         if projected is None:
@@ -154,11 +158,11 @@ class Quadratic:
         ), z
 
     def zero(self) -> np.ndarray | None:
-        """A point (n,) with all sizes zero, if there is one; the optimum is then exactly zero."""
+        """A point (n,) with all sizes zero, which makes the optimum exactly zero, or None."""
         if any(f.repeated and f.param < 0 for f in self.forms):
             return None
-        # Each signal in its own units: xi and w may be 1e14 apart, or their weights, and one must not hide
-        # in the other's rounding.
+        # Each signal is scaled separately. xi and w, or their weights, may differ by 1e14, and the smaller
+        # one must not be lost in the rounding of the larger.
         kernels = [
             a / (np.linalg.norm(a) or 1.0) for f in self.forms if f.param >= 0 for a in f.parts or (f.a,)
         ]

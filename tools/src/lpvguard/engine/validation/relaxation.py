@@ -72,8 +72,8 @@ class Box:
 class BranchNode:
     """A cone of sizes that ``rays`` (k, params) span, and a box per repeated form (``boxes``, by index).
 
-    ``lower``: certified bound of the cost over the node. ``small``: the tangent gave the better bound at the
-    parent.
+    ``lower`` is a certified bound of the cost over the node. ``small`` is True if the tangent gave the better
+    bound at the parent.
     """
 
     lower: float
@@ -87,8 +87,9 @@ class BranchNode:
 class Tangent:
     """Bounds of :meth:`Relaxation.tangent` and the primal matrix (n, n), or None.
 
-    ``lower``: over the node. ``centre``: at the boxes' centre on the central ray. ``box``: over the boxes'
-    corners on the central ray. ``cone``: over the rays at the boxes' centre.
+    ``lower`` holds over the node. ``centre`` holds at the centre of the boxes on the central ray. ``box``
+    holds at the corners of the boxes on the central ray. ``cone`` holds at the centre of the boxes on all
+    rays.
     """
 
     lower: float
@@ -100,7 +101,7 @@ class Tangent:
 
 @dataclass(frozen=True)
 class _Generators:
-    """Parts of a certificate: Q0 (m, n, n), level part G (m, n, n), their parameters (m,), multiplier
+    """Parts of a certificate: Q0 and its level part (m, n, n), their parameters (m,), and the multiplier
     cone."""
 
     q0: np.ndarray
@@ -109,7 +110,7 @@ class _Generators:
     cone: lmi.Cone
 
     def shares(self, rays: np.ndarray) -> np.ndarray:
-        """(k, m) size of each generator's parameter on ``rays`` (k, params); 0 if it has no parameter."""
+        """Size (k, m) of each generator's parameter on ``rays`` (k, params), 0 without a parameter."""
         return np.column_stack([rays, np.zeros(len(rays))])[:, self.param]
 
 
@@ -131,7 +132,8 @@ class _HeldScalars:
         )
 
     def base(self, scalars: np.ndarray) -> float:
-        """Sizes that depend on the scalars only, with each |d|^2 replaced by its tangent at the centre."""
+        """Sum of the sizes that depend on the scalars only, with the tangent at the centre in place of each
+        |d|^2."""
         centre = self.centre
         return sum(
             (2.0 * (centre[i].conjugate() * scalars[i]).real - abs(centre[i]) ** 2) / self._forms[i].slope
@@ -193,7 +195,8 @@ class Relaxation:
         return float(total.sum())
 
     def lower(self, node: BranchNode, cutoff: float) -> tuple[float, float, np.ndarray | None]:
-        """Certified lower bound over a node, bound on its central ray, and primal matrix (n, n) or None."""
+        """Certified lower bound over a node, bound on its central ray, and the primal matrix (n, n) or
+        None."""
         g = self._generators(node.boxes) if self.problem.repeated or self._plain is None else self._plain
         base = self.box_bound(node, self.problem.boxed)
         shares = g.shares(node.rays)
@@ -207,14 +210,14 @@ class Relaxation:
         return base + edges, base + length, inverse
 
     def tangent(self, node: BranchNode, cutoff: float) -> Tangent | None:
-        """Second bound over a node with boxes, with an error of second order in their size; None if it fails.
+        """Second bound over a node with boxes, with an error of second order in their size, or None.
 
         At the boxes' centre c the repeated blocks are linear constraints, A(c) z = 0 with rows a - c b. The
         other forms give multipliers y on the kernel of A(c). By Finsler's lemma some Y makes the certificate
         Q(y, p) + Y^* A(c) + A(c)^* Y positive on the whole space. With the same y and Y the certificate is
         affine in the scalars and the sizes. It therefore holds over the box if it holds at the corners,
-        because |delta|^2 lies above its tangent at c. The part of Y outside the kernel is free: several
-        penalties on |A z|^2 are tried, and the best corner bound is kept.
+        because |delta|^2 lies above its tangent at c. The part of Y outside the kernel is free. The method
+        tries several penalties on |A z|^2 and keeps the best corner bound.
         """
         if self._plain is None or not node.boxes:
             return None
@@ -257,10 +260,10 @@ class Relaxation:
 
 
 def _lifts(at: np.ndarray, kernel: np.ndarray, normal: np.ndarray, s: np.ndarray) -> np.ndarray:
-    """(penalties, n, rank) matrices ``lift`` with Y^* = lift pinv(A N), N = ``normal``.
+    """Matrices ``lift`` (penalties, n, rank) with Y^* = lift pinv(A N), where N is ``normal``.
 
-    A lift makes the certificate block diagonal, with ``at`` on the kernel and the penalty outside. ``s``:
-    singular values of A.
+    A lift makes the certificate block diagonal, with ``at`` on the kernel and the penalty outside. ``s`` are
+    the singular values of A.
     """
     outside = normal.conj().T @ at @ normal
     penalties = np.linalg.norm(at) * PENALTIES

@@ -1,9 +1,9 @@
 """Class S1: E = delta Z + w at every bin, one complex scalar delta common to all n_y outputs (T4).
 
-E is the windowed DFT of the nominal error, Z of the nominal output. Both are ``(..., n_y)`` complex in the
-outputs' own units. Every other argument broadcasts against the leading shape. The closed forms are exact to
-rounding. The usual forms cancel for delta0 -> nu, gamma_w -> B1, gamma_w -> abs(E) and for E parallel to Z.
-Differences of nearly equal products are therefore formed in double-double arithmetic
+E is the windowed DFT of the nominal error, and Z that of the nominal output. Both are ``(..., n_y)`` complex
+in the outputs' own units. Every other argument broadcasts against the leading shape. The closed forms are
+exact to rounding. The usual forms lose digits for delta0 -> nu, gamma_w -> B1, gamma_w -> abs(E) and for E
+parallel to Z. Differences of nearly equal products are therefore formed in double-double arithmetic
 (base/_native/s1.c).
 
 With delta0 = Z^H E / Z^H Z (the least-squares scalar) and, by Lagrange's identity,
@@ -46,8 +46,7 @@ class S1Result:
 
 
 def _points(source: str, e, z, *extra: tuple[str, object, bool]):
-    """Broadcast to contiguous arrays (points, n_y) complex and (points[, n_y]) real; also return the
-    shape."""
+    """The leading shape, then contiguous arrays: complex (points, n_y) and real (points[, n_y])."""
     e, z = np.asarray(e, dtype=complex), np.asarray(z, dtype=complex)
     if e.ndim == 0 or z.ndim == 0 or e.shape[-1] != z.shape[-1] or e.shape[-1] == 0:
         raise InputError(source, "E, Z", f"shapes {e.shape} and {z.shape}", "(..., n_y) both, n_y >= 1")
@@ -88,7 +87,7 @@ def solve(e, z, gamma_w) -> S1Result:
 
     Returns
     -------
-    S1Result, with the delta and w that attain it
+    S1Result, with the optimal delta and w
 
     Raises
     ------
@@ -115,7 +114,7 @@ def solve(e, z, gamma_w) -> S1Result:
 
 
 class LeastSquares(NamedTuple):
-    """Least-squares quantities per point, in the leading shape of E.
+    """Least-squares results at every point, in the leading shape of E.
 
     Attributes
     ----------
@@ -130,7 +129,7 @@ class LeastSquares(NamedTuple):
 
 
 def least(e, z) -> LeastSquares:
-    """Compute |E|, |Z|, B1 and |delta0| as in `solve` and `least_squares_delta`.
+    """Compute |E|, |Z|, B1 and |delta0|, see `solve` and `least_squares_delta`.
 
     Parameters
     ----------
@@ -167,9 +166,9 @@ def least_squares_delta(e, z) -> np.ndarray:
 
 @dataclass(frozen=True)
 class TradeoffResult:
-    """Result per point: J of (8) as ``cost``, nu = |delta|, and the delta and w that attain it.
+    """Result at every point: J of (8) as ``cost``, nu = |delta|, and the optimal delta and w.
 
-    Shapes as in :class:`S1Result`. ``cost`` and ``nu`` are inf where gamma_w < B1.
+    The shapes are those of :class:`S1Result`. ``cost`` and ``nu`` are inf where gamma_w < B1.
     """
 
     cost: np.ndarray
@@ -229,8 +228,8 @@ def tradeoff(e, z, gamma_w, lambda_nu, lambda_w) -> TradeoffResult:
     outside = distance > radius
     pull = np.divide(radius, distance, out=np.ones(len(e)), where=outside)
     delta = np.where(outside, centre + pull * offset, target)
-    # Close to the target the centre would lose digits: the step is the smallest delta that explains what the
-    # target leaves.
+    # Near the target the formula with the centre loses digits. The step is then the smallest delta that
+    # explains the error that the target leaves.
     near = outside & (distance < 2.0 * radius)
     rest = solve(e[near] - target[near, None] * z[near], z[near], gamma[near])
     delta[near] = np.where(rest.feasible, target[near] + rest.delta, delta[near])
@@ -244,22 +243,23 @@ def tradeoff(e, z, gamma_w, lambda_nu, lambda_w) -> TradeoffResult:
 
 
 MAX_OUTPUTS = 64
-"""Largest number of outputs for the compiled margin (a fixed array on its stack)."""
+"""Largest number of outputs of the compiled margin, which has an array of this size on its stack."""
 
 
 def margin(e, z, w_delta, w_w) -> np.ndarray:
     """Compute the on-line margin: the least t with |delta_j| <= t W_delta,j, |E_j - delta_j Z_j| <= t W_w,j.
 
-    With n_delta = 1 all outputs share one delta: this is a weighted 1-centre problem of n_y + 1 discs. By
-    Helly's theorem its solution is the worst of all problems of three discs. Each of these is a pair of
-    discs, or the smaller root of a quadratic equation. With n_delta = n_y each output has a separate delta,
-    and t is the largest |E_j| / (W_w,j + W_delta,j |Z_j|). If t > 1, no complex delta and w within the bounds
-    explain the frame. A causal Delta with memory may still explain it (tools/README.md).
+    With n_delta = 1 all outputs share one delta, which gives a weighted 1-centre problem of n_y + 1 discs. By
+    Helly's theorem the largest t of all problems with three discs is its solution. A pair of discs or the
+    smaller root of a quadratic equation solves each problem with three discs. With n_delta = n_y each output
+    has a separate delta, and t is the largest |E_j| / (W_w,j + W_delta,j |Z_j|). If t > 1, no complex delta
+    and w within the bounds explain the frame. A causal Delta with memory may still explain it
+    (tools/README.md).
 
     Parameters
     ----------
     e, z : array_like (..., n_y) of complex, output units
-    w_delta : array_like (..., n_delta), >= 0, a number for (1,)
+    w_delta : array_like (..., n_delta) or float, >= 0
     w_w : array_like (..., n_y), > 0, output units
 
     Returns

@@ -4,10 +4,10 @@
     |xi_i| <= nu_i |u|,    |xi_s| <= nu_s |x_nom + d|,    |w| <= gamma_w
     min lambda_i nu_i^2 + lambda_s nu_s^2
 
-G_d = int_0^Ts e^{As} ds makes nu_s a rate (1/s), G_d = I a size per sample. At fixed nu_s this is a complex
-quadratic problem with two constraints. Its dual has no gap as long as nu_s < 1/sigma_max(H_s), H_s = (z I -
-A_d)^-1 G_d. At that cap an allowed Delta_s makes the loop singular. The optimum over nu_s is found by branch
-and bound in base/_native/s2.c. ``solve_forms`` is the kernel for any problem with
+With G_d = int_0^Ts e^{As} ds, nu_s is a rate (1/s). With G_d = I, nu_s is a size per sample. At fixed nu_s
+this is a complex quadratic problem with two constraints. Its dual has no gap as long as nu_s <
+1/sigma_max(H_s), H_s = (z I - A_d)^-1 G_d. At this cap an allowed Delta_s makes the loop singular. Branch and
+bound in base/_native/s2.c finds the optimum over nu_s. ``solve_forms`` calls this kernel for any problem with
 one full block and plain quadratics.
 """
 
@@ -34,9 +34,10 @@ MAX_N = 16
 
 @dataclass(frozen=True)
 class FormsResult:
-    """Result per point: certified ``lower``, and ``upper``, which size ``p`` and point ``z`` (n,) attain.
+    """Result at every point: certified ``lower``, and ``upper``, which size ``p`` and point ``z`` (n,)
+    attain.
 
-    ``duals``: dual problems used.
+    ``duals`` is the number of dual problems that were solved.
     """
 
     lower: np.ndarray
@@ -70,12 +71,12 @@ def solve_forms(forms: np.ndarray, z0: np.ndarray, p_max, *, gap: float = GAP) -
 
 @dataclass(frozen=True)
 class S2Result:
-    """Result per point (K,): certified ``lower`` <= optimum <= ``upper``, which the explanation attains.
+    """Result at every point (K,): certified ``lower`` <= optimum <= ``upper``, which the explanation attains.
 
-    ``nu_i``, ``nu_s`` (K,): the sizes. ``xi`` (K, 1 + n_x), ``w`` (K, n_y): the signals. ``duals``: dual
-    problems used. Points with gamma_w < B1 have inf bounds and NaN signals. ``at_cap`` marks points whose
-    best nu_s is the well-posedness cap, or whose bounds did not meet near the cap. Their numbers do not bound
-    the vehicle; they show that the class does not fit.
+    ``nu_i`` and ``nu_s`` (K,) are the sizes. ``xi`` (K, 1 + n_x) and ``w`` (K, n_y) are the signals.
+    ``duals`` is the number of solved dual problems. Points with gamma_w < B1 have inf bounds and NaN signals.
+    ``at_cap`` marks points whose best nu_s is the well-posedness cap, or whose bounds did not meet near the
+    cap. The numbers at such points do not bound the vehicle. They show that the class does not fit.
     """
 
     lower: np.ndarray
@@ -95,7 +96,7 @@ def _gram(m: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class _Data:
-    """Checked arguments of :func:`solve`, one row per point."""
+    """Checked arguments of :func:`solve`, with one row for each point."""
 
     e: np.ndarray
     u: np.ndarray
@@ -122,7 +123,7 @@ class _Data:
             if array.shape != shape:
                 raise InputError("S2", name, f"shape {array.shape}", f"{shape}")
         if names is not None and len(names) != points:
-            raise InputError("S2", "names", f"{len(names)} for {points} points", "one a point")
+            raise InputError("S2", "names", f"{len(names)} for {points} points", "one for each point")
 
         def require(good: np.ndarray, name: str, what: str, expected: str) -> None:
             bad = ~good.reshape(points, -1).all(axis=1)
@@ -137,7 +138,9 @@ class _Data:
         require(np.isfinite(self.gamma), "gamma_w", "a value that is not finite", "finite numbers")
         for name, array in (("gamma_w", self.gamma), ("lambda_i", self.lam_i), ("lambda_s", self.lam_s)):
             require(array > 0.0, name, "zero or negative", "a positive number")
-        require(self.u != 0.0, "u", "zero", "an input: without one there is no multiplicative uncertainty")
+        require(
+            self.u != 0.0, "u", "zero", "an input that is not zero, which multiplicative uncertainty needs"
+        )
 
 
 @dataclass(frozen=True)
@@ -150,7 +153,8 @@ class _Maps:
 
     @classmethod
     def from_data(cls, data: _Data) -> _Maps:
-        """Maps with free xi = (xi_i, xi_s): w = e - C d with d = h_i xi_i + h_s xi_s, and eta = x_nom + d."""
+        """Maps of the free xi = (xi_i, xi_s) to w = e - C d, d = h_i xi_i + h_s xi_s, and to eta = x_nom +
+        d."""
         e, points, n_x = data.e, len(data.e), data.x_nom.shape[-1]
         d = n_x + 1
         to_d = np.concatenate([data.h_i[:, :, None], data.h_s], axis=2)
@@ -229,7 +233,7 @@ def solve(
     h_s : array_like (K, n_x, n_x) of complex, (zI - A_d)^-1 G_d
     c : array_like (n_y, n_x)
     gamma_w, lambda_i, lambda_s : array_like (K,) or float, > 0
-    gap : float, relative distance of the two sides
+    gap : float, relative gap between the bounds
     names : Sequence[str], optional, experiment and bin of each point, for messages
 
     Returns
@@ -239,7 +243,7 @@ def solve(
     Raises
     ------
     InputError
-        If shapes do not fit, or a value is not finite or not positive; the error names the point.
+        If shapes do not fit, or a value is not finite or not positive. The error names the point.
 
     References
     ----------
@@ -253,7 +257,7 @@ def solve(
     data = _Data(e, u, x_nom, h_i, h_s, c, gamma, lam_i, lam_s)
     data.check(names)
     maps = _Maps.from_data(data)
-    # A point inside the ball: from the least-squares point towards the one with the smallest w.
+    # The start lies inside the ball, between the least-squares point and the point with the smallest w.
     b1, start = _inside_ball(maps.w, gamma)
     feasible = b1 <= gamma
     forms, trivial = _problem(data, maps, start)
@@ -281,8 +285,10 @@ def solve(
 
 
 def _inside_ball(w_map: np.ndarray, gamma: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(B1 = min |w|, z) per point: z lies between theta = 0 and the point with |w| = B1, as near to 0 as |w|
-    <= gamma allows."""
+    """B1 = min |w| and a point z with |w| <= gamma, for each point.
+
+    z lies between theta = 0 and the point with |w| = B1, as near to 0 as the ball allows.
+    """
     w_t, w_theta = w_map[:, :, -1], w_map[:, :, :-1]
     u, s, vh = np.linalg.svd(w_theta, full_matrices=False)
     keep = s > 1e-12 * s[:, :1]

@@ -18,7 +18,7 @@ EDGE = 1e-9
 """A gamma_w within this relative distance of B1 counts as B1."""
 
 ROUNDING = 1e-14
-"""Rounding of B1 relative to |e|."""
+"""Rounding error of B1 relative to |e|."""
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ class Solution:
     w : ndarray (n_w,) of complex
     b1 : float, right side of (9)
     verification : Verification of the Delta that is built from these signals
-    nodes : int, of the branch and bound
+    nodes : int, number of nodes of the branch and bound
     """
 
     lower: float
@@ -49,20 +49,24 @@ class Solution:
 
 
 class ScaledProblem:
-    """One LFT point in well-scaled coordinates, with the maps to the signals of the blocks and to w. ``xi``,
-    ``eta`` (one map per block), ``w`` (n_w, n) and ``t`` (1, n) map a point z (n,) to signals. All have the
-    same factor. ``dead``: blocks whose input is always zero. ``ball_is_point``: gamma_w equals B1."""
+    """One LFT point in well-scaled coordinates, with the maps to the signals of the blocks and to w.
+
+    ``xi``, ``eta`` (one map per block), ``w`` (n_w, n) and ``t`` (1, n) map a point z (n,) to signals with
+    one common factor. ``dead`` holds the blocks whose input is always zero. ``ball_is_point`` is True if
+    gamma_w equals B1.
+    """
 
     def __init__(
         self, problem: Lft, w_scale: np.ndarray, gamma_w: float = np.inf, without: Sequence[int] = ()
     ):
-        """Take ``w_scale`` (n_w,), the size of each disturbance, and ``without``, blocks with xi_i fixed at
-        zero. Raises InputError like :func:`problem.parametrise`, and when only a dead block could explain
-        e."""
+        """``w_scale`` (n_w,) is the size of each disturbance. The blocks ``without`` get xi_i = 0.
+
+        Raises InputError as :func:`problem.parametrise` does, and where only a dead block could explain e.
+        """
         self.problem = problem
         par = parametrise(problem)
         self.b1 = par.b1
-        # At gamma_w = B1 the ball is one point: phi = 0 is a constraint, and the solvers have no interior.
+        # At gamma_w = B1 the ball is one point without an interior, and phi = 0 becomes a constraint.
         self.least_ball = par.b1 * (1.0 - EDGE) - ROUNDING * np.linalg.norm(problem.e)
         self.ball_is_point = bool(gamma_w <= par.b1 * (1.0 + EDGE) + ROUNDING * np.linalg.norm(problem.e))
         first = par.n_phi if self.ball_is_point else 0
@@ -75,7 +79,7 @@ class ScaledProblem:
             held = np.concatenate([rows[i] for i in self.dead])
             change = self._without(scaled, held)
             scaled, maps = scaled @ change, tuple(m @ change for m in maps)
-            maps[0][held] = 0.0  # not its rounding, which would give infinite sizes for an eta of zero
+            maps[0][held] = 0.0  # rounding here would give infinite sizes for eta = 0
         q, r = np.linalg.qr(scaled[:, :-1])
         shift = q.conj().T @ scaled[:, -1]
         rest = np.linalg.norm(scaled[:, -1] - q @ shift)
@@ -90,15 +94,18 @@ class ScaledProblem:
         self.t[0, -1] = 1.0 / kappa
 
     def _shares(self) -> np.ndarray:
-        """(p,) share of e per unit of each signal in xi; 1 for a block that reaches no output."""
+        """Share (p,) of e per unit of each signal in xi, 1 for a block without effect on the outputs."""
         blocks, size_e = self.problem.blocks, float(np.linalg.norm(self.problem.e)) or 1.0
         gains = [float(np.linalg.norm(m)) or size_e for m in split(blocks, self.problem.p21.T, "rows")]
         return np.repeat(gains, [b.rows for b in blocks]) / size_e
 
     def _without(self, scaled: np.ndarray, held: np.ndarray) -> np.ndarray:
-        """Map (n, n') to the points at which the rows ``held`` of ``scaled`` (.., n), those of the dead
-        blocks, are 0. Each direction is scaled separately, so that values forced to zero by the data are only
-        rounding. Raises InputError when the data need a dead block."""
+        """Map (n, n') to the points where the signals of the dead blocks are 0.
+
+        These signals are the rows ``held`` of ``scaled`` (.., n). Each direction is scaled separately. A
+        signal that the data force to zero is then recognised as rounding. Raises InputError when the data
+        need a dead block.
+        """
         unit = np.linalg.norm(scaled[:, :-1], axis=0)
         left, right = scaled[held, :-1] / unit, -scaled[held, -1]
         u, s, vh = np.linalg.svd(left)
@@ -118,32 +125,34 @@ class ScaledProblem:
 
     @cached_property
     def xi(self) -> list[np.ndarray]:
-        """Maps (rows_i, n) to xi_i, one per block."""
+        """Maps (rows_i, n) from z to xi_i, one per block."""
         return split(self.problem.blocks, self._xi, "rows")
 
     @cached_property
     def eta(self) -> list[np.ndarray]:
-        """Maps (cols_i, n) to eta_i, one per block."""
+        """Maps (cols_i, n) from z to eta_i, one per block."""
         return split(self.problem.blocks, self._eta, "cols")
 
     @property
     def n(self) -> int:
-        """Length of z: free variables plus one."""
+        """Length of z, the number of free variables plus one."""
         return self.t.shape[1]
 
     @property
     def w(self) -> np.ndarray:
-        """Map (n_w, n) to w."""
+        """Map (n_w, n) from z to w."""
         return self._w
 
     def constant_eta(self, i: int) -> bool:
-        """Tell if the input of block ``i`` is constant, independent of the free variables."""
+        """Return whether the input of block ``i`` does not depend on the free variables."""
         return not np.any(self.eta[i][:, :-1])
 
     def signals(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """xi (p,), eta (q,) and w (n_w,) at ``z`` (n,); a xi_i that is only rounding is exactly zero.
-        The rounding of xi_i = 0 has a random direction. It would give a full block a size. In a repeated
-        block xi_i must be a multiple of eta_i, and rounding is not."""
+        """xi (p,), eta (q,) and w (n_w,) at ``z`` (n,).
+
+        A xi_i that is only rounding is set to zero. Rounding would give a full block a size. In a repeated
+        block xi_i must be a multiple of eta_i, and rounding is not.
+        """
         z = z / (self.t @ z)[0]
         xi = np.concatenate([np.zeros(len(m)) if cancels(m, z) else m @ z for m in self.xi])
         return xi, self._eta @ z, self._w @ z
@@ -159,8 +168,10 @@ class ScaledProblem:
         return [np.append(theta, 1.0)]
 
     def finish(self, interval: Interval, what: str) -> Solution:
-        """Build and verify the explanation of an interval; ``what`` names the bounds in messages. Raises
-        InputError when no explanation was found or it needs a perturbation at the well-posedness cap."""
+        """Build and verify the explanation of an interval. ``what`` names the bounds in messages.
+
+        Raises InputError when there is no explanation, or it needs a perturbation at the well-posedness cap.
+        """
         problem = self.problem
         if interval.z is None:
             raise InputError(
@@ -178,8 +189,7 @@ class ScaledProblem:
                 problem.source,
                 "nu",
                 f"{np.array2string(nu, precision=6)} is at or above the well-posedness cap "
-                f"(single full blocks: {caps}): no certificate that every allowed Delta keeps the LFT "
-                "regular",
+                f"(single full blocks: {caps}), so some allowed Delta may make the LFT singular",
                 "sizes below the cap",
             )
         verification = verify(problem.blocks, problem.matrices, problem.e, w, xi, nu)
@@ -187,8 +197,11 @@ class ScaledProblem:
 
 
 def scaled_problem(problem: Lft, gamma_w: float, without: Sequence[int] = ()) -> ScaledProblem:
-    """Scale the point with |w| <= ``gamma_w`` and xi_i = 0 for the blocks ``without``. Raises InputError for
-    a gamma_w that is negative, not finite or below B1, and like :class:`ScaledProblem`."""
+    """Scale the point with |w| <= ``gamma_w`` and xi_i = 0 for the blocks ``without``.
+
+    Raises InputError for a gamma_w that is negative, not finite or below B1, and as :class:`ScaledProblem`
+    does.
+    """
     if not np.isfinite(gamma_w) or gamma_w < 0.0:
         raise InputError(problem.source, "gamma_w", f"{gamma_w}", "a finite number that is not negative")
     scaled = ScaledProblem(
@@ -225,5 +238,5 @@ def block_form(
 
 
 def _scalar(block: Block) -> str | None:
-    """Kind of a 1 x 1 block as ``repeated``: a complex scalar counts as full, a real one stays real."""
+    """Value of ``repeated`` for a 1 x 1 block. A complex scalar counts as full, a real one stays real."""
     return block.kind if block.kind == "repeated_real" else None

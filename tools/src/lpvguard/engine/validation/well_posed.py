@@ -1,4 +1,4 @@
-"""Check well-posedness: I - P11 Delta is regular for every Delta of the structure and size."""
+"""Check well-posedness: I - P11 Delta must be regular for every Delta of a given structure and size."""
 
 import numpy as np
 
@@ -8,7 +8,7 @@ from lpvguard.engine.validation.problem import Lft
 
 
 def block_caps(problem: Lft) -> np.ndarray:
-    """Caps (tau,) 1 / sigma_max(P11,ii): at this size a single full block makes I - P11 Delta singular.
+    """Caps (tau,) 1 / sigma_max(P11,ii). At this size a single full block can make I - P11 Delta singular.
 
     A cap is inf where P11,ii = 0.
     """
@@ -26,7 +26,7 @@ def well_posed(problem: Lft, nu: np.ndarray) -> bool:
 
     The first test uses the spectral radius of the matrix of block norms. The second is the S-procedure on
     ``|xi_i| <= nu_i |(P11 xi)_i|`` with the multipliers of each block's structure. A repeated scalar has a
-    matrix multiplier; a real one has a second matrix (the D-G scalings of mu).
+    matrix multiplier, and a real one has a second matrix (the D-G scalings of mu).
     """
     etas = split(problem.blocks, problem.p11, "cols")
     norms = np.array(

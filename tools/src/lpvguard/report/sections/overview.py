@@ -351,7 +351,7 @@ def _promise(stored: StoredIdentification, design: Path | None) -> str:
         least = evidence.refuting
         words = yes_or_no(not evidence.refuted, "Premise not refuted", "Premise refuted")
         evidence_words = (
-            "drives that did not set the bounds ask for nothing"
+            "drives that did not set the bounds need no uncertainty"
             if least is None
             else f"W<sub>Δ</sub> is {number(least.ratio)} times what drives that did not set the bounds ask "
             f"for, at least ({escape(least.output.replace('_', ' '))}, {number(least.omega)} rad/s, "
