@@ -17,6 +17,7 @@ from itertools import combinations
 from operator import add
 
 import numpy as np
+from scipy.special import logsumexp
 from scipy.stats import t as student
 
 from ..base.errors import InputError
@@ -38,12 +39,12 @@ FAULT = {"gain": 0.3, "delay": 0.2, "bias": 0.5, "offset": 0.5, "factor": 0.1, "
 SURE = 0.95
 """Probability that the named parts have together."""
 ALIKE = 2 * float(np.log(SURE / (1 - SURE)))
-"""Misfit beside the likeliest part below which the data alone do not exclude a part."""
+"""Akaike's criterion beside the likeliest part below which the data alone do not exclude a part."""
 NEEDED = 19.0
 """Likelihood ratio, twice its log, with which 95 % of windows leave one part of two: x - 2 sqrt(x) 1.64 is
 twice the log of SURE / (1 - SURE)."""
 ODDS = float(np.log(1000.0))
-"""Log-odds beyond those of all healthy windows with which a window differs."""
+"""Log-odds beyond the log of the mean odds of healthy windows with which a window differs."""
 LONGEST_S = 36_000.0
 """Longest driving after which a part may be told [s]."""
 UNEXPLAINED = 0.05
@@ -365,7 +366,7 @@ class Isolation:
     A : ndarray (LAGS, n_y, n_y), of the residue's autoregression
     S : ndarray (n_y, n_y), covariance of its innovation
     scale : float, by which likelihoods are divided, so that healthy windows agree
-    least : float, evidence against a healthy vehicle that no healthy window exceeds
+    least : float, log-odds against a healthy vehicle above which a window differs
     lack : float, misfit of the best part beside all parts that no healthy window exceeds
     per_s : ndarray (m, m), sums G of a second of usual driving
     window_s : float, length of the windows [s]
@@ -444,15 +445,19 @@ class Isolation:
         return float(b @ np.linalg.pinv(expected) @ b) / len(b)
 
     def _limited(self, judged: list[tuple[Isolation, WindowSums]]) -> Isolation:
-        """With the scale and limits of healthy windows, each with the scales that judge it."""
+        """With the scale and limits of healthy windows, each with the scales that judge it.
+
+        Markov's inequality: at most 1 in 1000 healthy windows has odds above 1000 times their mean.
+        """
         scale = max(1.0, float(np.mean([judge._excess(w) for judge, w in judged])))
-        against, lacks = [0.0], [0.0]
+        against, lacks = [], [0.0]
         for judge, w in judged:
             scaled = replace(judge, scale=scale)
             fits = scaled.fits(w)
             against.append(max(fits.values()) - fits[""])
             lacks.append(scaled._lack(w))
-        return replace(self, scale=scale, least=max(against) + ODDS, lack=max(lacks))
+        mean_odds = float(logsumexp(against) - np.log(len(against)))
+        return replace(self, scale=scale, least=max(0.0, mean_odds) + ODDS, lack=max(lacks))
 
     def to_dict(self) -> dict:
         """JSON-able, for `from_dict`, with the tables of `isolable` and `told_after`."""
@@ -533,6 +538,10 @@ class Isolation:
         best = max(self.parts, key=lambda part: self.log_likelihood(w, self._freed(part)))
         return self._misfit(w, self._freed(best)) - self._misfit(w, self._all_freed)
 
+    def _criterion(self, w: WindowSums, part: str) -> float:
+        """Akaike's information criterion of a faulty part, up to a constant: a column counts 2."""
+        return self._misfit(w, self._freed(part)) + 2.0 * int(self.of_part(part).sum())
+
     def _misfit(self, w: WindowSums, spread: np.ndarray) -> float:
         return -self._explained(w, spread)[0] / self.scale
 
@@ -555,8 +564,8 @@ class Isolation:
         order = sorted(probability, key=lambda part: -probability[part])
         share = np.cumsum([probability[part] for part in order])
         named = int(np.searchsorted(share, SURE)) + 1
-        misfit = {part: self._misfit(w, self._freed(part)) for part in order}
-        alike = [part for part in order[named:] if misfit[part] - misfit[order[0]] < ALIKE]
+        criterion = {part: self._criterion(w, part) for part in order}
+        alike = [part for part in order[named:] if criterion[part] - criterion[order[0]] < ALIKE]
         parts = (*order[:named], *alike)
         parts += tuple(part for part in self._likelier_pair(w, parts[0]) if part not in parts)
         return PartFinding(parts, probability, True, *self._size(w, parts[0]))
