@@ -408,6 +408,24 @@ TEST_CASE("parts are named until they are sure together", "[REQ-ISO-1]") {
     CHECK(parts != 1U);
 }
 
+TEST_CASE("a further part is named unless it fits worse than its columns let expect", "[REQ-ISO-1]") {
+    // A signal has five columns, the vehicle one beside an unused one. 2 log(0.95 / 0.05) is 5.889.
+    const bool is_signal = GENERATE(true, false), is_named = GENERATE(true, false);
+    const uint32_t part = is_signal ? 1U : vehicle_part;
+    Vehicle vehicle;
+    while (!vehicle.isolation.judging || vehicle.isolation.step < ny + nu + 4U) {
+        vehicle.step(false);
+        (void)lpvg_isolation_work(&vehicle.isolation, &vehicle.monitor);
+    }
+    std::fill(std::begin(vehicle.isolation.fit), std::end(vehicle.isolation.fit), Real(0));
+    std::fill(std::begin(vehicle.isolation.misfit), std::end(vehicle.isolation.misfit), Real(1e3));
+    vehicle.isolation.fit[0] = Real(100);
+    vehicle.isolation.misfit[0] = Real(0);
+    vehicle.isolation.misfit[part] = Real((is_signal ? 5.889 : 13.889) + (is_named ? -0.01 : 0.01));
+    vehicle.isolation.misfit[ny + nu + 3U] = Real(0);
+    CHECK(vehicle.judged().parts == (is_named ? 1U | (1U << part) : 1U));
+}
+
 TEST_CASE("work that waits over a window's end judges what was added before", "[REQ-ISO-3]") {
     Vehicle vehicle;
     while (!vehicle.isolation.closing) {

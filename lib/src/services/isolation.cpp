@@ -18,7 +18,7 @@ constexpr uint32_t halves = LPVG_ISOLATION_HALVES, blocks = LPVG_ISOLATION_BLOCK
 constexpr std::size_t speed_response = 2U * nu - 1U, first_parameter = speed_response + 1U;
 constexpr Real changed_by = Real(0.02);  // factor of the changed speed and parameters, minus 1
 constexpr Real sure = Real(0.95);  // probability that the named parts have together
-constexpr Real alike = Real(5.88887795833288);  // 2 log(sure / (1 - sure)): a misfit below it excludes no part
+constexpr Real alike = Real(5.88887795833288);  // 2 log(sure / (1 - sure)): a criterion below it excludes no part
 constexpr Real odds = Real(6.907755278982137);  // log 1000, against a second fault
 constexpr Real needed = Real(19), unexplained = Real(0.05), interval = Real(1.96);
 constexpr Real log_2 = Real(0.693147180559945309);
@@ -336,6 +336,15 @@ bool explained(const lpvg_isolation_t& self) {
     return self.misfit[best] - self.misfit[freed] <= Real(2) * self.table->reals.lack + needed + Real(2) * unexplained * against;
 }
 
+// Akaike's information criterion of a faulty part, up to a constant.
+Real criterion(const lpvg_isolation_t& self, std::size_t part) {
+    Real sum = self.misfit[part];
+    for (std::size_t i = 0; i < m; ++i) {
+        sum += part_of(self, i) == part && self.table->reals.fault[i] > Real(0) ? Real(2) : Real(0);
+    }
+    return sum;
+}
+
 // One bit for each of the fewest parts that are sure together, and of those that fit as well as the likeliest.
 uint32_t named(const lpvg_isolation_t& self) {
     const std::size_t parts = self.table->words.parts, best = likeliest(self);
@@ -355,7 +364,7 @@ uint32_t named(const lpvg_isolation_t& self) {
         bits |= 1U << next;
     }
     for (std::size_t p = 0; p < parts; ++p) {
-        bits |= self.misfit[p] - self.misfit[best] < alike ? 1U << p : 0U;
+        bits |= criterion(self, p) - criterion(self, best) < alike ? 1U << p : 0U;
     }
     return bits;
 }

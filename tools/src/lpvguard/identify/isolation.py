@@ -18,6 +18,7 @@ from itertools import combinations
 from operator import add
 
 import numpy as np
+from scipy.special import logsumexp
 from scipy.stats import t as student
 
 from ..base.errors import InputError
@@ -40,12 +41,12 @@ offset."""
 SURE = 0.95
 """Least total probability of the named parts."""
 ALIKE = 2 * float(np.log(SURE / (1 - SURE)))
-"""A part is also named if its misfit exceeds that of the most likely part by less than this."""
+"""A part is also named if its Akaike criterion exceeds that of the most likely part by less than this."""
 NEEDED = 19.0
 """Twice the log likelihood ratio x with which 95 % of windows decide between two parts. It solves x - 2
 sqrt(x) 1.64 = 2 log(SURE / (1 - SURE))."""
 ODDS = float(np.log(1000.0))
-"""A window differs if its log-odds exceed those of all healthy windows by this number."""
+"""A window differs if its log-odds exceed the log of the healthy windows' mean odds by this number."""
 LONGEST_S = 36_000.0
 """Longest driving time in the table of times to isolation [s]."""
 UNEXPLAINED = 0.05
@@ -371,7 +372,7 @@ class Isolation:
     A : ndarray (LAGS, n_y, n_y), autoregression of the residue
     S : ndarray (n_y, n_y), covariance of its innovation
     scale : float, divisor of log-likelihoods that makes healthy windows consistent
-    least : float, limit of the evidence against a healthy vehicle
+    least : float, log-odds against a healthy vehicle above which a window differs
     lack : float, largest lack of fit of a single part over healthy windows
     per_s : ndarray (m, m), sums G for one second of usual driving
     window_s : float, length of the windows [s]
@@ -450,15 +451,19 @@ class Isolation:
         return float(b @ np.linalg.pinv(expected) @ b) / len(b)
 
     def _limited(self, judged: list[tuple[Isolation, WindowSums]]) -> Isolation:
-        """Scales with the scale and limits of healthy windows, each paired with the scales that judge it."""
+        """Scales with the scale and limits of healthy windows, each paired with the scales that judge it.
+
+        Markov's inequality: at most 1 in 1000 healthy windows has odds above 1000 times their mean.
+        """
         scale = max(1.0, float(np.mean([judge._excess(w) for judge, w in judged])))
-        against, lacks = [0.0], [0.0]
+        against, lacks = [], [0.0]
         for judge, w in judged:
             scaled = replace(judge, scale=scale)
             fits = scaled.fits(w)
             against.append(max(fits.values()) - fits[""])
             lacks.append(scaled._lack(w))
-        return replace(self, scale=scale, least=max(against) + ODDS, lack=max(lacks))
+        mean_odds = float(logsumexp(against) - np.log(len(against)))
+        return replace(self, scale=scale, least=max(0.0, mean_odds) + ODDS, lack=max(lacks))
 
     def to_dict(self) -> dict:
         """Convert to JSON types, with the tables of `isolable` and `told_after`."""
@@ -540,6 +545,10 @@ class Isolation:
         best = max(self.parts, key=lambda part: self.log_likelihood(w, self._freed(part)))
         return self._misfit(w, self._freed(best)) - self._misfit(w, self._all_freed)
 
+    def _criterion(self, w: WindowSums, part: str) -> float:
+        """Akaike's information criterion of a faulty part, up to a constant: a column counts 2."""
+        return self._misfit(w, self._freed(part)) + 2.0 * int(self.of_part(part).sum())
+
     def _misfit(self, w: WindowSums, spread: np.ndarray) -> float:
         return -self._explained(w, spread)[0] / self.scale
 
@@ -563,8 +572,8 @@ class Isolation:
         order = sorted(probability, key=lambda part: -probability[part])
         share = np.cumsum([probability[part] for part in order])
         named = int(np.searchsorted(share, SURE)) + 1
-        misfit = {part: self._misfit(w, self._freed(part)) for part in order}
-        alike = [part for part in order[named:] if misfit[part] - misfit[order[0]] < ALIKE]
+        criterion = {part: self._criterion(w, part) for part in order}
+        alike = [part for part in order[named:] if criterion[part] - criterion[order[0]] < ALIKE]
         parts = (*order[:named], *alike)
         parts += tuple(part for part in self._likelier_pair(w, parts[0]) if part not in parts)
         return PartFinding(parts, probability, True, *self._size(w, parts[0]))
