@@ -69,8 +69,8 @@ def read_sound_lines(text: str) -> tuple[Database, list[str]]:
         elif about := _ABOUT.match(line):
             flagged = _flagged(about[1])
             statement = line[: about.start(1)] + flagged + line[about.end(1) :]
-            if told := next((m for m in messages if m.identifier == flagged), None):
-                told.about.append((number, statement))
+            if described := next((m for m in messages if m.identifier == flagged), None):
+                described.about.append((number, statement))
         elif _KEPT.match(line):
             definitions.append((number, line))
     definitions = _sound_lines(_HEAD, definitions, left_out)

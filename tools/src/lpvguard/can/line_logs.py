@@ -60,17 +60,17 @@ def read_lines(path: Path, text: str, form: re.Pattern[str]) -> Frames:
         If most lines are no frame, a frame has no time, or its length is not that of its bytes.
     """
     lines = [(n, line) for n, line in enumerate(text.splitlines(), start=1) if not _HEADS.match(line)]
-    found = [(n, match.groupdict()) for n, line in lines if (match := form.fullmatch(line))]
-    others = [n for n, line in lines if n > found[0][0] and not form.fullmatch(line)]
+    frames = [(n, match.groupdict()) for n, line in lines if (match := form.fullmatch(line))]
+    others = [n for n, line in lines if n > frames[0][0] and not form.fullmatch(line)]
     if len(others) > _LEAST * len(lines):
         raise InputError(path, f"line {others[0]}", "no frame, as most lines", "lines as the first frame's")
-    numbers = " ".join(cells.get("data") or "" for _, cells in found).replace(";", " ").split()
-    parts = 10.0 ** -max(3, *(len(cells.get("part") or "") for _, cells in found), 0)
+    numbers = " ".join(cells.get("data") or "" for _, cells in frames).replace(";", " ").split()
+    parts = 10.0 ** -max(3, *(len(cells.get("part") or "") for _, cells in frames), 0)
     decimal = "***DEC***" in text or any(len(byte) != 2 for byte in numbers if "x" not in byte)
     base = 10 if decimal else 16
     clock = _Clock("***RELATIVE MODE***" in text, parts)
     rows, left_out = [], {"error reports": 0, "remote frames": 0}
-    for number, cells in found:
+    for number, cells in frames:
         kind = (cells["kind"] or "").lower()
         if "r" in kind or "e" in kind:
             left_out["remote frames" if "r" in kind else "error reports"] += 1

@@ -215,12 +215,12 @@ class WindowSums:
 
 
 def residual_structure(project: Project) -> dict[str, list[str]]:
-    """List the residuals that each part changes: errors of outputs, and their differences for redundant
-    outputs.
+    """List the residuals that each part changes.
 
-    Outputs are redundant if they have the same row of C. The sensor of an output changes every residual with
-    this output. Inputs and vehicle change no difference. The speed changes the difference of outputs with
-    unequal powers of the speed.
+    Residuals are errors of outputs, and their differences for redundant outputs. Outputs are redundant if
+    they have the same row of C. The sensor of an output changes every residual with this output. Inputs and
+    vehicle change no difference. The speed changes the difference of outputs with unequal powers of the
+    speed.
 
     Parameters
     ----------

@@ -88,8 +88,8 @@ def split_words(splits: Mapping[str, str], names: Mapping[str, str], days: Mappi
     """
     setting = sum(split == "train" for split in splits.values())
     by = ["speed"]
-    for what, told in (("day", days.get), ("surface", _surface)):
-        if kinds := sorted({kind for r in set(names.values()) if (kind := told(r))}):
+    for what, kind_of in (("day", days.get), ("surface", _surface)):
+        if kinds := sorted({kind for r in set(names.values()) if (kind := kind_of(r))}):
             by.append(f"{what} ({', '.join(kinds)})")
     parted = " and ".join(by)
     return f"{setting} drives set the bounds, {len(splits) - setting} calibrate, parted by {parted}"
