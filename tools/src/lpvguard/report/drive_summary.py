@@ -93,7 +93,7 @@ def _ratios(replay: Replay, replayer: Replayer) -> tuple[tuple[str, np.ndarray],
 
 
 def course(replay: Replay, replayer: Replayer, t0: float) -> tuple[np.ndarray, np.ndarray]:
-    """Compute ``course`` and ``verdict``, both (COLUMNS,), of a DriveSummary from its first time ``t0`` [s]."""
+    """Return ``course`` and ``verdict``, both (COLUMNS,), of a DriveSummary with first time ``t0`` [s]."""
     frames, samples = replay.run.frames, len(replay.run.verdict)
     ratio = np.full(COLUMNS, -np.inf)
     counted = frames.counted
