@@ -182,7 +182,6 @@ const std::vector<Field> model_fields = {
     LPVG_REAL(B_w),
     LPVG_REAL(W_certificate),
     LPVG_REAL(B_certificate),
-    LPVG_REAL(pool_W),
     LPVG_REAL(pool_scale),
     LPVG_REAL(threshold),
 };

@@ -224,8 +224,9 @@ TEST_CASE("a value that the algorithm does not allow is refused", "[unit][coeff]
         for (std::size_t j = 0; j < LPVG_NY; ++j) {
             cases.push_back({"B_w 0", [b, j](lpvg_coeff_t& c) { c.reals.B_w[b][j] = Real(0); }});
             cases.push_back({"B_certificate 0", [b, j](lpvg_coeff_t& c) { c.reals.B_certificate[b][j] = Real(0); }});
-            cases.push_back({"W of a pool below 0", [b, j](lpvg_coeff_t& c) { c.reals.pool_W[b][j] = Real(-0.001); }});
-            cases.push_back({"scale of a pool below 0", [b, j](lpvg_coeff_t& c) { c.reals.pool_scale[b][j] = Real(-0.001); }});
+            for (std::size_t i : {std::size_t{0}, std::size_t{1}}) {
+                cases.push_back({"scale of a pool below 0", [b, i, j](lpvg_coeff_t& c) { c.reals.pool_scale[0][b][i][j] = Real(-0.001); }});
+            }
         }
     }
     for (const Case& test : cases) {
@@ -243,8 +244,7 @@ TEST_CASE("the least value that the algorithm allows is accepted", "[unit][coeff
         [](lpvg_coeff_t& c) { c.words.pool_parts[0] = 1U; },
         [](lpvg_coeff_t& c) { c.words.pool_parts[0] = LPVG_NPOOL; },
         [](lpvg_coeff_t& c) { c.words.pool_frames[0] = 1U; },
-        [](lpvg_coeff_t& c) { c.reals.pool_W[0][0] = Real(0); },
-        [](lpvg_coeff_t& c) { c.reals.pool_scale[0][0] = Real(0); },
+        [](lpvg_coeff_t& c) { c.reals.pool_scale[0][0][0][0] = c.reals.pool_scale[0][0][1][0] = Real(0); },
         [](lpvg_coeff_t& c) { c.reals.speed_min = Real(0.999) * c.reals.speed_max; },
     };
     for (const auto& change : least) {

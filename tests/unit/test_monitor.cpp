@@ -23,7 +23,7 @@ lpvg_coeff_t frames_only(const std::function<void(lpvg_coeff_t&)>& change, Real 
     return sealed([&](lpvg_coeff_t& c) {
         c.reals.energy_threshold = Real(1e9);
         c.reals.change_threshold = Real(1e9);
-        std::fill(&c.reals.pool_scale[0][0], &c.reals.pool_scale[0][0] + LPVG_NBINS * LPVG_NY, Real(0));
+        std::fill_n(&c.reals.pool_scale[0][0][0][0], LPVG_NSPEEDS * LPVG_NBINS * 2 * LPVG_NY, Real(0));
         change(c);
         for (std::size_t b = 0; b < LPVG_NBINS; ++b) {
             for (std::size_t j = 0; j < LPVG_NY; ++j) {
@@ -1344,14 +1344,18 @@ TEST_CASE("the change test takes whole blocks of settled samples, and their mean
 
 namespace {
 
-// Bin 1 pools with the given parts and frames of a part; W and scale of output j are 0.05 and 1 + j. Frames alone never object.
-lpvg_coeff_t pooling(uint32_t parts, uint32_t frames, const std::function<void(lpvg_coeff_t&)>& change = [](lpvg_coeff_t&) {}) {
+// Scale of the error of output j in part `at` of the speed range.
+Real error_scale(std::size_t at, std::size_t j) { return Real(1 + j) * Real(1 + at); }
+
+// Bin 1 pools with the given parts and frames of a part; `share` is the scale of the error's share. Frames alone never object.
+lpvg_coeff_t pooling(
+    uint32_t parts, uint32_t frames, Real share = Real(1e6), const std::function<void(lpvg_coeff_t&)>& change = [](lpvg_coeff_t&) {}) {
     return frames_only([&](lpvg_coeff_t& c) {
         c.reals.threshold = Real(1e9);
-        for (uint32_t b = 0; b < LPVG_NBINS; ++b) {
+        for (std::size_t at = 0; at < LPVG_NSPEEDS; ++at) {
             for (std::size_t j = 0; j < LPVG_NY; ++j) {
-                c.reals.pool_W[b][j] = Real(0.05);
-                c.reals.pool_scale[b][j] = b == 1U ? Real(1) + Real(j) : Real(0);
+                c.reals.pool_scale[at][1][0][j] = error_scale(at, j);
+                c.reals.pool_scale[at][1][1][j] = share;
             }
         }
         c.words.pool_parts[1] = parts;
@@ -1361,7 +1365,7 @@ lpvg_coeff_t pooling(uint32_t parts, uint32_t frames, const std::function<void(l
 }
 
 // What a pool of these frames reads, the newest last: its ratio, and that of a vehicle without response.
-std::array<double, 2> reckoned(const std::vector<lpvg_frame_t>& frames, std::size_t held) {
+std::array<double, 2> reckoned(const std::vector<lpvg_frame_t>& frames, std::size_t held, std::size_t at, double share) {
     std::array<double, 2> found{};
     for (std::size_t j = 0; j < LPVG_NY; ++j) {
         std::complex<double> along = 0.0;
@@ -1375,24 +1379,32 @@ std::array<double, 2> reckoned(const std::vector<lpvg_frame_t>& frames, std::siz
             along += std::conj(Z) * E;
             power += std::norm(Z);
         }
-        const double size = std::sqrt(power), unit = 1.0 + static_cast<double>(j);
-        found[0] = std::max(found[0], power > 0.0 ? (std::abs(along) / size - 0.05 * size) * unit : 0.0);
-        found[1] = std::max(found[1], 0.95 * size * unit);
+        const double size = std::sqrt(power), unit = static_cast<double>(error_scale(at, j));
+        found[0] = std::max(found[0], power > 0.0 ? std::min(std::abs(along) / size * unit, std::abs(along) / power * share) : 0.0);
+        found[1] = std::max(found[1], std::min(size * unit, share));
     }
     return found;
 }
 
 }  // namespace
 
-TEST_CASE("a pool sums the counted frames of its parts, of which the newest grows", "[unit][monitor][REQ-MON-19]") {
+TEST_CASE("a pool sums the counted frames of its parts, of which the newest grows, with the bounds of its speed",
+          "[unit][monitor][REQ-MON-19]") {
     const uint32_t parts = GENERATE(1U, uint32_t{LPVG_NPOOL}), in_part = GENERATE(1U, 2U);
-    Drive drive(pooling(parts, in_part));
+    const std::size_t at = GENERATE(0U, 1U, 2U);
+    const Real share = GENERATE(Real(1e-3), Real(1e6));
+    const auto& reals = lpvg_coeff.reals;
+    const auto speed_at = [&](double position) {
+        return reals.speed_min + static_cast<Real>(position) * (reals.speed_max - reals.speed_min);
+    };
+    const Real speed = speed_at((static_cast<double>(at) + 0.5) / LPVG_NSPEEDS);
+    Drive drive(pooling(parts, in_part, share));
     drive.bin = 1U;
     std::vector<lpvg_frame_t> frames;
     std::size_t uncounted = 0, beyond = 0;
     for (uint32_t k = 0; k < 24U; ++k) {
         drive.gain = 0.8 + 0.02 * (k % 5U);
-        drive.speed = k == 12U ? Real(0.5) * cruise() + Real(0.5) * lpvg_coeff.reals.speed_max : cruise();
+        drive.speed = k == 12U ? speed_at(at == 0U ? 0.9 : 0.1) : speed;
         drive.run(words().frame_length[1] / 2U, [&](const lpvg_frame_t& f) {
             if (f.bin != 1U) {
                 CHECK(f.pooled == Real(0));
@@ -1405,7 +1417,7 @@ TEST_CASE("a pool sums the counted frames of its parts, of which the newest grow
                 return;
             }
             const std::size_t held = (parts - 1U) * in_part + (frames.size() - 1U) % in_part + 1U;
-            const auto expected = reckoned(frames, held);
+            const auto expected = reckoned(frames, held, at, static_cast<double>(share));
             CHECK(static_cast<double>(f.pooled) == Approx(expected[0]).epsilon(1e-4));
             CHECK(static_cast<double>(f.evidence) >= expected[1] * (1.0 - 1e-4));
             beyond += static_cast<double>(f.evidence) > expected[1] * (1.0 + 1e-4) ? 1U : 0U;
@@ -1429,7 +1441,7 @@ TEST_CASE("a pool alarms where no frame of it does, refutes nothing, and is reco
     });
     REQUIRE(largest > Real(1.25) * single);
     const Real between = Real(0.75) * largest;
-    Drive judged(pooling(LPVG_NPOOL, 1U, [=](lpvg_coeff_t& c) {
+    Drive judged(pooling(LPVG_NPOOL, 1U, Real(1e6), [=](lpvg_coeff_t& c) {
         c.reals.threshold = between;
         for (auto& row : c.reals.B_w) {
             std::fill(std::begin(row), std::end(row), Real(1e6));

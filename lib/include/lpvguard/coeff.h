@@ -25,6 +25,8 @@ LPVG_EXTERN_C_BEGIN
 #define LPVG_NHISTORY 8
 /// Parts of a pool of frames; the newest part grows while the oldest is dropped.
 #define LPVG_NPOOL (6 / LPVG_NY)
+/// Equal parts of the scheduling range, each with bounds of pools of its own.
+#define LPVG_NSPEEDS 3
 /// Samples that a bin takes up at once, a power of two.
 #define LPVG_NBLOCK 4
 /// Pushes over which the judgement of a frame is spread: 1 where every output has a Delta of its own, else 2.
@@ -58,42 +60,41 @@ typedef struct lpvg_coeff_words_t {
 } lpvg_coeff_words_t;
 
 typedef struct lpvg_coeff_reals_t {
-    lpvg_real_t speed_min;                                    ///< scheduling range [m/s], within (0, speed_max)
-    lpvg_real_t speed_max;                                    ///< scheduling range [m/s]
-    lpvg_real_t speed_valid[2];                               ///< physical range of the signal [m/s]
-    lpvg_real_t input_valid[LPVG_NU][2];                      ///< physical range [input unit]
-    lpvg_real_t output_valid[LPVG_NY][2];                     ///< physical range [output unit]
-    lpvg_real_t speed_tolerance;                              ///< largest |v/mean - 1| in a frame [-], within (0, inf)
-    lpvg_real_t input_offset[LPVG_NU];                        ///< subtracted from the input [input unit]
-    lpvg_real_t output_offset[LPVG_NY];                       ///< added to the output [output unit]
-    lpvg_real_t base[LPVG_NENTRIES];                          ///< model entries that do not vary with speed
-    lpvg_real_t cell[LPVG_NCELLS][LPVG_NVARYING][4];          ///< cubic in the position 0..1 within a speed cell
-    lpvg_real_t C[LPVG_NY][LPVG_NX];                          ///< output matrix
-    lpvg_real_t C_pinv[LPVG_NX][LPVG_NY];                     ///< its pseudo-inverse: state of a measured output
-    lpvg_real_t turn[LPVG_NBINS][2];                          ///< cos - 1 and sin of the phase step 2 pi cycles / N [-]
-    lpvg_real_t taper[LPVG_NBINS][2];                         ///< cos - 1 and sin of the window step 2 pi / N [-]
-    lpvg_real_t scale[LPVG_NBINS];                            ///< 2 / sum(window), at DC 1 / sum(window) [-], within (0, inf)
-    lpvg_real_t energy_corner[LPVG_NBANDS - 1];               ///< g of the low-pass g (z + 1) / (z - 1 + 2 g) at each corner, not falling [-], within (0, 1)
-    lpvg_real_t energy_W[LPVG_NDELTA][LPVG_NWEIGHT][5];       ///< sections of W_delta on |z| = rho, b0 b1 b2 a1 a2, stable (energy.cpp) [-]
-    lpvg_real_t energy_scale[LPVG_NBANDS][LPVG_NY];           ///< 1 / sigma_j of each band [1/output unit], within (0, inf)
-    lpvg_real_t energy_forget[LPVG_NBANDS];                   ///< 1 - rho^2, rho of the left sums of the band [-], within (0, 1)
-    lpvg_real_t energy_start[LPVG_NBANDS][LPVG_NY];           ///< what is remembered at a restart [output unit], within [0, inf)
-    lpvg_real_t energy_direction[LPVG_NDIRECTIONS][LPVG_NY];  ///< a, in units of sigma, sum |a_j| = 1; of a single output where NDELTA > 1 [-]
-    lpvg_real_t energy_threshold;                             ///< calibrated threshold of the energy test's ratio [-], within [1, inf)
-    lpvg_real_t energy_certificate;                           ///< ratio of the energy test that refutes the certificate [-], within [1, inf)
-    lpvg_real_t change_block_s;                               ///< a block of LPVG_NBLOCK samples [s], within (0, inf)
-    lpvg_real_t change_unit[LPVG_NY][2];                      ///< 1 / rms of yhat_j, and of its change over a block, on the bound-setting drives [1/output unit], within (0, inf)
-    lpvg_real_t change_prior[LPVG_NY][6];                     ///< what is added to the sums of phi phi', the upper triangle row by row, positive definite [-]
-    lpvg_real_t change_scale[LPVG_NY][3];                     ///< 1 / size of theta_i on the bound-setting drives, theta by regressors over their sizes [1/output unit], within (0, inf)
-    lpvg_real_t change_forget;                                ///< share of the sums forgotten with a block [-], within (0, 1)
-    lpvg_real_t change_threshold;                             ///< calibrated threshold of the change test's ratio [-], within (0, inf)
-    lpvg_real_t W_delta[LPVG_NBINS][LPVG_NDELTA];             ///< |W_delta| at the bin, of the healthy set [-], within (0, inf)
-    lpvg_real_t B_w[LPVG_NBINS][LPVG_NY];                     ///< disturbance bound at the bin, likewise [output unit], within (0, inf)
-    lpvg_real_t W_certificate[LPVG_NBINS][LPVG_NDELTA];       ///< |W_delta| at the bin, of the certificate [-], within (0, inf)
-    lpvg_real_t B_certificate[LPVG_NBINS][LPVG_NY];           ///< disturbance bound, likewise [output unit], within (0, inf)
-    lpvg_real_t pool_W[LPVG_NBINS][LPVG_NY];                  ///< share of |yhat| that a pool allows for [-], within [0, inf)
-    lpvg_real_t pool_scale[LPVG_NBINS][LPVG_NY];              ///< 1 / bound of a pool's remainder, 0: no bound [1/output unit], within [0, inf)
-    lpvg_real_t threshold;                                    ///< calibrated threshold of the frame test's statistic [-], within (0, inf)
+    lpvg_real_t speed_min;                                         ///< scheduling range [m/s], within (0, speed_max)
+    lpvg_real_t speed_max;                                         ///< scheduling range [m/s]
+    lpvg_real_t speed_valid[2];                                    ///< physical range of the signal [m/s]
+    lpvg_real_t input_valid[LPVG_NU][2];                           ///< physical range [input unit]
+    lpvg_real_t output_valid[LPVG_NY][2];                          ///< physical range [output unit]
+    lpvg_real_t speed_tolerance;                                   ///< largest |v/mean - 1| in a frame [-], within (0, inf)
+    lpvg_real_t input_offset[LPVG_NU];                             ///< subtracted from the input [input unit]
+    lpvg_real_t output_offset[LPVG_NY];                            ///< added to the output [output unit]
+    lpvg_real_t base[LPVG_NENTRIES];                               ///< model entries that do not vary with speed
+    lpvg_real_t cell[LPVG_NCELLS][LPVG_NVARYING][4];               ///< cubic in the position 0..1 within a speed cell
+    lpvg_real_t C[LPVG_NY][LPVG_NX];                               ///< output matrix
+    lpvg_real_t C_pinv[LPVG_NX][LPVG_NY];                          ///< its pseudo-inverse: state of a measured output
+    lpvg_real_t turn[LPVG_NBINS][2];                               ///< cos - 1 and sin of the phase step 2 pi cycles / N [-]
+    lpvg_real_t taper[LPVG_NBINS][2];                              ///< cos - 1 and sin of the window step 2 pi / N [-]
+    lpvg_real_t scale[LPVG_NBINS];                                 ///< 2 / sum(window), at DC 1 / sum(window) [-], within (0, inf)
+    lpvg_real_t energy_corner[LPVG_NBANDS - 1];                    ///< g of the low-pass g (z + 1) / (z - 1 + 2 g) at each corner, not falling [-], within (0, 1)
+    lpvg_real_t energy_W[LPVG_NDELTA][LPVG_NWEIGHT][5];            ///< sections of W_delta on |z| = rho, b0 b1 b2 a1 a2, stable (energy.cpp) [-]
+    lpvg_real_t energy_scale[LPVG_NBANDS][LPVG_NY];                ///< 1 / sigma_j of each band [1/output unit], within (0, inf)
+    lpvg_real_t energy_forget[LPVG_NBANDS];                        ///< 1 - rho^2, rho of the left sums of the band [-], within (0, 1)
+    lpvg_real_t energy_start[LPVG_NBANDS][LPVG_NY];                ///< what is remembered at a restart [output unit], within [0, inf)
+    lpvg_real_t energy_direction[LPVG_NDIRECTIONS][LPVG_NY];       ///< a, in units of sigma, sum |a_j| = 1; of a single output where NDELTA > 1 [-]
+    lpvg_real_t energy_threshold;                                  ///< calibrated threshold of the energy test's ratio [-], within [1, inf)
+    lpvg_real_t energy_certificate;                                ///< ratio of the energy test that refutes the certificate [-], within [1, inf)
+    lpvg_real_t change_block_s;                                    ///< a block of LPVG_NBLOCK samples [s], within (0, inf)
+    lpvg_real_t change_unit[LPVG_NY][2];                           ///< 1 / rms of yhat_j, and of its change over a block, on the bound-setting drives [1/output unit], within (0, inf)
+    lpvg_real_t change_prior[LPVG_NY][6];                          ///< what is added to the sums of phi phi', the upper triangle row by row, positive definite [-]
+    lpvg_real_t change_scale[LPVG_NY][3];                          ///< 1 / size of theta_i on the bound-setting drives, theta by regressors over their sizes [1/output unit], within (0, inf)
+    lpvg_real_t change_forget;                                     ///< share of the sums forgotten with a block [-], within (0, 1)
+    lpvg_real_t change_threshold;                                  ///< calibrated threshold of the change test's ratio [-], within (0, inf)
+    lpvg_real_t W_delta[LPVG_NBINS][LPVG_NDELTA];                  ///< |W_delta| at the bin, of the healthy set [-], within (0, inf)
+    lpvg_real_t B_w[LPVG_NBINS][LPVG_NY];                          ///< disturbance bound at the bin, likewise [output unit], within (0, inf)
+    lpvg_real_t W_certificate[LPVG_NBINS][LPVG_NDELTA];            ///< |W_delta| at the bin, of the certificate [-], within (0, inf)
+    lpvg_real_t B_certificate[LPVG_NBINS][LPVG_NY];                ///< disturbance bound, likewise [output unit], within (0, inf)
+    lpvg_real_t pool_scale[LPVG_NSPEEDS][LPVG_NBINS][2][LPVG_NY];  ///< 1 / bounds of a pool's error and of its share of |yhat|, 0: no bound [1/output unit, -], within [0, inf)
+    lpvg_real_t threshold;                                         ///< calibrated threshold of the frame test's statistic [-], within (0, inf)
 } lpvg_coeff_reals_t;
 
 typedef struct lpvg_coeff_t {

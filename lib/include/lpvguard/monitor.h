@@ -18,9 +18,9 @@
 /// A frame *counts* if the model had settled, the speed stayed in the scheduling range, and the speed stayed within
 /// `speed_tolerance` of the frame's mean. The *statistic* of a bin is the k-th largest margin of its last m counted frames.
 /// Frames of a bin are also pooled. The sums run over the counted frames among the last `pool_parts` x `pool_frames` frames. The
-/// ratio of an output is
+/// ratio of an output, with bounds B and W at the speed of the newest frame, is
 ///
-///     ( |sum of conj(Z_j) E_j| / sqrt(P_j) - pool_W,j sqrt(P_j) ) pool_scale,j,   P_j = sum of |Z_j|^2        (T51)
+///     |sum of conj(Z_j) E_j| / sqrt(P_j) / max( B_j, W_j sqrt(P_j) ),   P_j = sum of |Z_j|^2        (T51)
 ///
 /// An error that follows the input adds up in the first sum, a disturbance does not. A statistic or a ratio above `threshold` is an
 /// alarm. The *evidence* of a frame is the margin that a vehicle without any response would have shown (T18). A frame with evidence

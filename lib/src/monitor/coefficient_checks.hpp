@@ -54,7 +54,6 @@ inline bool items_in_range(const lpvg_coeff_reals_t& f) {
            every(f.B_w, is_positive) &&
            every(f.W_certificate, is_positive) &&
            every(f.B_certificate, is_positive) &&
-           every(f.pool_W, [](lpvg_real_t x) { return x >= lpvg_real_t(0); }) &&
            every(f.pool_scale, [](lpvg_real_t x) { return x >= lpvg_real_t(0); }) &&
            every(f.threshold, is_positive);
 }

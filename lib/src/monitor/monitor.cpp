@@ -216,8 +216,18 @@ struct Pooled {
     Real ratio, dead;  // ratio (T51), and the ratio of a vehicle without response
 };
 
-// Adds the frame E, Z of bin b to its part of the pool. Returns the largest ratios of the outputs.
-Pooled pooled(lpvg_bin_t& bin, lpvg_pool_t& part, const lpvg_coeff_reals_t& r, std::size_t b, const Complex* E, const Complex* Z) {
+// 1 / bounds of the pools of bin b at a frame's mean speed: of the error, then of its share of |yhat|.
+const Real (&pool_scale(const lpvg_coeff_reals_t& r, std::size_t b, Real mean))[2][ny] {
+    const Real part = (r.speed_max - r.speed_min) / Real(LPVG_NSPEEDS);
+    std::size_t at = 0;
+    for (std::size_t i = 1; i < LPVG_NSPEEDS; ++i) {
+        at += mean - r.speed_min >= static_cast<Real>(i) * part ? 1U : 0U;
+    }
+    return r.pool_scale[at][b];
+}
+
+// Takes the frame E, Z into its part of the bin's pool. Largest ratios of the outputs.
+Pooled pooled(lpvg_bin_t& bin, lpvg_pool_t& part, const Real (&scale)[2][ny], const Complex* E, const Complex* Z) {
     Pooled found{Real(0), Real(0)};
     for (std::size_t j = 0; j < ny; ++j) {
         part.re[j] += Z[j].re * E[j].re + Z[j].im * E[j].im;
@@ -231,9 +241,9 @@ Pooled pooled(lpvg_bin_t& bin, lpvg_pool_t& part, const lpvg_coeff_reals_t& r, s
         }
         if (power > Real(0)) {
             const Real size = std::sqrt(power);
-            const Real ratio =
-                (std::sqrt((re / size) * (re / size) + (im / size) * (im / size)) - r.pool_W[b][j] * size) * r.pool_scale[b][j];
-            const Real dead = (size - r.pool_W[b][j] * size) * r.pool_scale[b][j];
+            const Real allowed = scale[1][j] < scale[0][j] * size ? scale[1][j] / size : scale[0][j];
+            const Real ratio = std::sqrt((re / size) * (re / size) + (im / size) * (im / size)) * allowed;
+            const Real dead = size * allowed;
             found.ratio = ratio > found.ratio ? ratio : found.ratio;
             found.dead = dead > found.dead ? dead : found.dead;
         }
@@ -331,7 +341,7 @@ bool judge(lpvg_monitor_t& self, std::size_t b) {
     frame.reason = reason;
     lpvg_pool_t& part = part_of_next(bin, coeff.words, b);
     if (reason == lpvg_reason_none) {
-        const Pooled pool = pooled(bin, part, r, b, E, Z);
+        const Pooled pool = pooled(bin, part, pool_scale(r, b, mean), E, Z);
         for (std::size_t j = 0; j < ny; ++j) {
             frame.E[j][0] = E[j].re;
             frame.E[j][1] = E[j].im;

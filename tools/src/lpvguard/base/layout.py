@@ -154,12 +154,11 @@ COEFF = Layout(
             "W_certificate", ("NBINS", "NDELTA"), "-", "|W_delta| at the bin, of the certificate", "(0, inf)"
         ),
         Field("B_certificate", ("NBINS", "NY"), "output unit", "disturbance bound, likewise", "(0, inf)"),
-        Field("pool_W", ("NBINS", "NY"), "-", "share of |yhat| that a pool allows for", "[0, inf)"),
         Field(
             "pool_scale",
-            ("NBINS", "NY"),
-            "1/output unit",
-            "1 / bound of a pool's remainder, 0: no bound",
+            ("NSPEEDS", "NBINS", "2", "NY"),
+            "1/output unit, -",
+            "1 / bounds of a pool's error and of its share of |yhat|, 0: no bound",
             "[0, inf)",
         ),
         Field("threshold", (), "-", "calibrated threshold of the frame test's statistic", "(0, inf)"),

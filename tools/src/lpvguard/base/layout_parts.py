@@ -37,6 +37,7 @@ CONSTANTS = {
     ),
     "NHISTORY": ("8", "Largest m of the k-of-m confirmation."),
     "NPOOL": ("(6 / NY)", "Parts of a pool of frames; the newest part grows while the oldest is dropped."),
+    "NSPEEDS": ("3", "Equal parts of the scheduling range, each with bounds of pools of its own."),
     "NBLOCK": ("4", "Samples that a bin takes up at once, a power of two."),
     "NPARTS": (
         "(2 - (NDELTA / NY))",

@@ -271,6 +271,8 @@ def print_tests(result: Identification) -> None:
         c = change.calibration
         sizes = change.sizes_text(result.project)
         console.print(f"change test: threshold {c.carried:.4g} ({c.claim()}), largest {sizes}")
+    if result.pools is not None:
+        console.print(result.pools.speeds_text())
     if result.pools is not None and (c := result.pools.calibration).target:
         console.print(f"pools: threshold {c.carried:.4g} ({c.claim()}); rates are a quarter of all tests'")
     if (i := result.isolation) is not None:

@@ -23,7 +23,7 @@ from numpy.typing import ArrayLike
 
 from .. import __version__
 from ..base import artefacts
-from ..base.layout import COEFF, DIMENSIONS
+from ..base.layout import COEFF, DIMENSIONS, constant
 from ..drives.frames import Estimator, require_core
 from ..vehicle.nominal import NominalModel
 from ..vehicle.project import CanPlace, Project
@@ -143,8 +143,9 @@ def _without_pools(
     estimator: Estimator, project: Project
 ) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
     """Words and numbers for a vehicle without pools of frames."""
-    one, none = np.ones(estimator.n_bins, int), np.zeros((estimator.n_bins, project.n_y))
-    return {"pool_parts": one, "pool_frames": one}, {"pool_W": none, "pool_scale": none}
+    one = np.ones(estimator.n_bins, int)
+    none = np.zeros((constant("NSPEEDS", {}), estimator.n_bins, 2, project.n_y))
+    return {"pool_parts": one, "pool_frames": one}, {"pool_scale": none}
 
 
 def _model_reals(project: Project, model: NominalModel) -> dict[str, ArrayLike]:

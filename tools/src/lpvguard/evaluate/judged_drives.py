@@ -35,8 +35,8 @@ SAW = {"bounds": "set the bounds", "calibration": "calibrated", "noise": "set th
 class JudgedDrives:
     """Drives by name, their recordings, and the calibrations that judge them.
 
-    ``pool_scale`` (K, n_y) of a drive scales the pools without its recording; None without pools. ``mode`` is
-    LEFT_ONE_OUT or HELD_OUT. ``rule`` describes the calibrating drives.
+    ``pool_scale`` (SPEEDS, K, 2, n_y) of a drive scales the pools without its recording; None without pools.
+    ``mode`` is LEFT_ONE_OUT or HELD_OUT. ``rule`` describes the calibrating drives.
     """
 
     mode: str

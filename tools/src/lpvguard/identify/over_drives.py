@@ -330,25 +330,30 @@ class OverDrives:
         """Bounds of the pools from all drives."""
         sizes = PoolSizes.for_project(self.reader.project, self.reader.estimator)
         task = partial(pool_needs_pass, self.reader, sizes)
-        W, silent = chosen_share(PoolNeeds.joined(self.over("pools", task, drives.setting)), bounds.B_w_floor)
+        setting = PoolNeeds.joined(self.over("pools", task, drives.setting))
+        W, silent, own = chosen_share(setting, bounds.B_w_floor)
         needs: dict[str, np.ndarray] = {}
+        shown: dict[str, np.ndarray] = {}
         remainders: list[Remainders] = []
         blocks: dict[str, np.ndarray] = {}
         every = [*drives.setting, *drives.others]
-        chosen = sorted(every, key=lambda e: e.name)  # because sums of floats depend on the order
-        rest = self.over("pools", partial(pool_remainder_pass, self.reader, sizes, W), chosen)
+        chosen = sorted(every, key=lambda e: e.name)  # sums of floats depend on the order
+        rest = self.over("pools", partial(pool_remainder_pass, self.reader, sizes, W, own), chosen)
         for e, remainder in zip(chosen, rest, strict=True):
             name = recordings.named(e.name)
             needs[name] = np.maximum(needs.get(name, 0.0), remainder.largest)
-            if e.name in self._maxima.get("frame", {}) and remainder.blocks is not None:
+            assert remainder.blocks is not None
+            shown[name] = np.maximum(shown.get(name, 0.0), remainder.blocks.max(axis=0))
+            if e.name in self._maxima.get("frame", {}):
                 blocks[e.name] = remainder.blocks
             remainders.append(remainder)
             if len(remainders) == JOINED_AT_ONCE:
                 remainders = [Remainders.joined(remainders)]
         floor = np.where(silent, np.inf, bounds.B_w_floor)
-        needs = {name: needs[name] for name in dict.fromkeys(recordings.named(e.name) for e in every)}
+        order = dict.fromkeys(recordings.named(e.name) for e in every)
+        needs, shown = ({name: x[name] for name in order} for x in (needs, shown))
         alpha = self.reader.project.frame_test.alpha
-        pools = Pools(sizes, W, floor, needs, calibrate({}, alpha), blocks=blocks)
+        pools = Pools(sizes, W, floor, own, needs, shown, calibrate({}, alpha), blocks=blocks)
         joined = Remainders.joined(remainders)
         quantile = joined.sums.quantile(alpha, len(chosen), sizes.parts * sizes.frames)
         self._pooled = joined.excitation(W, pools.bound(), quantile)

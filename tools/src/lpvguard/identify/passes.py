@@ -273,16 +273,17 @@ def healthy_pass(reader: DriveReader, experiment: Experiment) -> np.ndarray:
 
 
 def pool_needs_pass(reader: DriveReader, sizes: PoolSizes, experiment: Experiment) -> PoolNeeds:
-    """Return the needs of a drive for the bounds of pools."""
-    return needs_of(experiment, reader.frames(experiment), reader.estimator, sizes, reader.project.n_y)
+    """Needs of a drive for the bounds of pools."""
+    drive, _, _, frames = reader.seen(experiment)
+    return needs_of(experiment, frames, drive.v, reader.estimator, sizes, reader.project.n_y)
 
 
 def pool_remainder_pass(
-    reader: DriveReader, sizes: PoolSizes, W: np.ndarray, experiment: Experiment
+    reader: DriveReader, sizes: PoolSizes, W: np.ndarray, own: np.ndarray, experiment: Experiment
 ) -> Remainders:
-    """Return the remainders of the pools of a drive for ``W`` (K, n_y)."""
+    """Remainders of a drive's pools, as `remainders_of`."""
     drive, _, _, frames = reader.seen(experiment)
-    return remainders_of(experiment, frames, drive.v, reader.estimator, sizes, W)
+    return remainders_of(experiment, frames, drive.v, reader.estimator, sizes, W, own)
 
 
 def remainder_pass(

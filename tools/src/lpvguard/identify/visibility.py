@@ -29,9 +29,8 @@ class Excitation:
     """Excitation of counted frames in bounded memory.
 
     ``count`` (SPEED_CELLS, K) counts all frames. Each row holds ``group`` (cell * K + bin), ``hash``,
-    ``dead`` = t*(-Z, Z), ``size`` = |Z| [output units] and ``floor``. The floor is the least visible gain
-    error at any excitation and threshold: 0, or W of a pool (THEORY 7.17). ``strongest`` has the frame with
-    the largest ``dead`` of each group. ``sample`` has at most SAMPLED_FRAMES frames of each group.
+    ``dead`` = t*(-Z, Z) and ``size`` = |Z| [output units]. The rows are the frame of the largest ``dead`` of
+    each group and a sample of SAMPLED_FRAMES.
     """
 
     count: np.ndarray
@@ -64,7 +63,6 @@ class Excitation:
             "hash": row_hash(name, bin_of, number),
             "dead": dead,
             "size": np.linalg.norm(Z, axis=1),
-            "floor": np.zeros(len(Z)),
         }
         count = np.bincount(group, minlength=SPEED_CELLS * K).reshape(SPEED_CELLS, K)
         return cls.of_rows(count, rows, rows)
@@ -173,10 +171,8 @@ def _chosen(rows: Rows, K: int, c: int, percentile: float) -> list[int | None]:
 def _gains(rows: Rows, chosen: list[int | None], level: float) -> list[float | None]:
     """Gain error with which each chosen row reaches ``level``."""
 
-    def gain(dead: float, floor: float) -> float | None:
-        return None if dead == 0 else floor + level * (1 / dead - floor)
-
-    return [None if i is None else gain(float(rows["dead"][i]), float(rows["floor"][i])) for i in chosen]
+    dead = [0.0 if i is None else float(rows["dead"][i]) for i in chosen]
+    return [level / x if x else None for x in dead]
 
 
 def _cell(omega: np.ndarray, count: np.ndarray, size: list[float | None], gain: list[float | None]) -> dict:

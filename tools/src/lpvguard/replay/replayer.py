@@ -254,7 +254,7 @@ class Replayer:
     project : Project
     core : Core
     threshold, energy_threshold, change_threshold : float or None, optional
-    pool_scale : ndarray (K, n_y) or None, optional, replaces the scale in the coefficients
+    pool_scale : ndarray (SPEEDS, K, 2, n_y) or None, optional, replaces the scale in the coefficients
     namer : PartNamer or None, optional, names parts; by default the one of the core's folder, if any
     """
 

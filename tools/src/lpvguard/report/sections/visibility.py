@@ -14,8 +14,9 @@ from ..visits import Visits
 def visibility_section(visits: Visits, drawn: IdentificationPictures) -> str:
     """The section: excitation in the counted frames of ``visits`` and the tables of visibility.json."""
     stored, estimator = drawn.stored, drawn.estimator
+    speeds = "" if stored.pools is None else f"<p>{escape(stored.pools.speeds_text())}.</p>"
     return f"""<h2>Excitation and what stays invisible</h2>{_excitation(visits, drawn)}
-{_smallest_visible(stored.visibility, estimator, unit_of_norm(stored.project.outputs))}"""
+{_smallest_visible(stored.visibility, estimator, unit_of_norm(stored.project.outputs))}{speeds}"""
 
 
 def _excitation(visits: Visits, drawn: IdentificationPictures) -> str:
