@@ -54,10 +54,10 @@ public:
                 p = settled ? p * rho + error * response : p;
                 q = settled ? q * rho + response * response : q;
                 const double limit = static_cast<double>(limits.gain[j]) * q + disturbance * std::sqrt(q);
-                violated = violated || (std::fabs(p) > limit && static_cast<double>(LPVG_WATCH_ERROR_MAX) * q > limit);
+                violated = violated || (std::fabs(p) > limit && static_cast<double>(LPVG_WATCH_ERROR_SHOWN) * q > limit);
                 evidence = evidence || q > limit;
                 close = close || std::fabs(std::fabs(p) - limit) <= 1e-2 * limit || std::fabs(q - limit) <= 1e-2 * limit ||
-                        std::fabs(static_cast<double>(LPVG_WATCH_ERROR_MAX) * q - limit) <= 1e-2 * limit;
+                        std::fabs(static_cast<double>(LPVG_WATCH_ERROR_SHOWN) * q - limit) <= 1e-2 * limit;
             }
         }
         return close || (violated == watch.violated && evidence == watch.evidence);
@@ -256,8 +256,8 @@ TEST_CASE("a violation is beyond both limits, to the last digit", "[unit][watch]
         double disturbance, product;
         bool violated;
     };
-    // With Q = 4 the limit is twice the disturbance, and what is looked for at most is 10.
-    constexpr Case cases[] = {{1.0, 2.0, false}, {1.0, 2.5, true}, {5.0, 11.0, false}, {6.0, 13.0, false}, {4.0, 9.0, true}};
+    // With Q = 4 the limit is twice the disturbance, and it counts below 6.
+    constexpr Case cases[] = {{1.0, 2.0, false}, {1.0, 2.5, true}, {3.0, 7.0, false}, {4.0, 9.0, false}, {2.5, 6.0, true}};
     for (const Case& each : cases) {
         for (std::size_t m = 0; m < LPVG_WATCH_MEMORIES; ++m) {
             Vehicle vehicle;

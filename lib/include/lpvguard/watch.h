@@ -9,7 +9,7 @@
 ///
 /// If the response is 1 + d_j times the nominal one, then P_j = d_j Q_j + sum of F w_j F phi_j. A violation therefore refutes every
 /// constant |d_j| <= gain_j with a disturbance whose part along F phi_j is at most disturbance_j (THEORY 7.14). A violation counts once
-/// Q_j is so large that |d_j| = LPVG_WATCH_ERROR_MAX would violate. With a smaller Q_j, P_j shows the effect of earlier demands.
+/// Q_j is so large that |d_j| = LPVG_WATCH_ERROR_SHOWN would violate. With a smaller Q_j, P_j shows the effect of earlier demands.
 ///
 /// gain_j is the smallest W_certificate,j of all bins: a larger constant error lies outside the certificate set. If it is above
 /// LPVG_WATCH_GAIN_MAX, gain_j is the largest gain that the change test accepts as healthy. If that is too large as well, output j is
@@ -34,7 +34,7 @@ LPVG_EXTERN_C_BEGIN
 #define LPVG_WATCH_COHERENCE_S 1.5F  ///< longest time for which a disturbance may follow the response [s]
 #define LPVG_WATCH_MEMORIES 3  ///< number of memories: the shorter, the longer, and one for the slow parts
 #define LPVG_WATCH_GAIN_MAX 0.6F  ///< largest watched |d|: a gain of 0.3 is beyond it  [-]
-#define LPVG_WATCH_ERROR_MAX 2.5F  ///< largest |d| that is looked for; a reversed and a tripled response have |d| = 2 [-]
+#define LPVG_WATCH_ERROR_SHOWN 1.5F  ///< |d| that Q_j must suffice to show; a reversed and a tripled response have |d| = 2 [-]
 
 #define lpvg_watch_limits_t LPVG_SYM(watch_limits_t)
 #define lpvg_watch_t LPVG_SYM(watch_t)

@@ -92,7 +92,7 @@ extern "C" void lpvg_watch_take(lpvg_watch_t* self, const lpvg_watch_limits_t* l
             p += error[j] * response[j] - limits->forget[m] * p;
             q += response[j] * response[j] - limits->forget[m] * q;
             const Real limit = limits->gain[j] * q + disturbance[j] * std::sqrt(q);
-            const bool beyond = !(std::fabs(p) <= limit) && !(static_cast<Real>(LPVG_WATCH_ERROR_MAX) * q <= limit);
+            const bool beyond = !(std::fabs(p) <= limit) && !(static_cast<Real>(LPVG_WATCH_ERROR_SHOWN) * q <= limit);
             violated = violated || (beyond && limits->gain[j] < Real(1));
             evidence = evidence || q > limit;  // never of an output that is not watched
         }
