@@ -3,8 +3,11 @@
 
 #include <algorithm>
 #include <cmath>
+#include <cstring>
 #include <functional>
 #include <limits>
+#include <string>
+#include <utility>
 #include <vector>
 
 #include "lpvguard/isolation.h"
@@ -229,6 +232,9 @@ void require_named(const Fault& fault, uint32_t part, uint32_t size, double valu
     CHECK(static_cast<double>(found.value) > 0.8 * value - 1e-3);
     CHECK(static_cast<double>(found.value) < 1.2 * value + 1e-3);
     CHECK((found.low < found.value && found.value < found.high));
+    const uint32_t kind = size >= 3U * signals ? size - 3U * signals : size % 3U;
+    const Real usual = vehicle.table.reals.fault[size >= 3U * signals ? 5U * signals + kind : 5U * (size / 3U) + (kind == 2U ? 4U : kind)];
+    CHECK(found.now == (found.value > Real(0.3) * usual));
     CHECK(found.until_us - found.from_us == 1000000 * static_cast<int64_t>(window_s));
 }
 
@@ -424,6 +430,124 @@ TEST_CASE("a further part is named unless it fits worse than its columns let exp
     vehicle.isolation.misfit[part] = Real((is_signal ? 5.889 : 13.889) + (is_named ? -0.01 : 0.01));
     vehicle.isolation.misfit[ny + nu + 3U] = Real(0);
     CHECK(vehicle.judged().parts == (is_named ? 1U | (1U << part) : 1U));
+}
+
+namespace {
+
+std::string line_of(const lpvg_parts_t& parts, std::size_t room = 400U) {
+    lpvg_part_words_t part[signals + 2U];
+    std::fill(std::begin(part), std::end(part), lpvg_part_words_t{"speed", "the wheel size"});
+    part[0] = {"gyro", "the gyro's mounting"};
+    lpvg_size_words_t size[3U * signals + 3U];
+    std::fill(std::begin(size), std::end(size), lpvg_size_words_t{"gain", ""});
+    size[2] = {"bias", " rad/s"};
+    std::string text(room, 'x');
+    const std::size_t length = lpvg_isolation_line(&parts, part, size, &text[0], room);
+    CHECK(text[length] == '\0');
+    return text.substr(0U, length);
+}
+
+lpvg_parts_t found(uint32_t parts, double value, double low = -0.111, double high = -0.08) {
+    lpvg_parts_t p{};
+    p.differs = true;
+    p.parts = parts;
+    p.value = static_cast<Real>(value);
+    p.low = static_cast<Real>(low);
+    p.high = static_cast<Real>(high);
+    p.from_us = 59500000;
+    return p;
+}
+
+}  // namespace
+
+TEST_CASE("a window is one line that says what to do", "[REQ-ISO-5]") {
+    const std::string rest = " (-0.111 to -0.08), since about 60 s; check the gyro's mounting; service ";
+    lpvg_parts_t one = found(1U, -0.0954);
+    CHECK(line_of(one) == "gyro: gain -0.0954" + rest + "later");
+    one.now = true;
+    one.size = 2U;
+    CHECK(line_of(one) == "gyro: bias -0.0954 rad/s" + rest + "now");
+    one.from_us = 59499999;
+    CHECK(line_of(one).find("since about 59 s;") != std::string::npos);
+    one.from_us = 0;
+    CHECK(line_of(one).find("since about 0 s;") != std::string::npos);
+    one.from_us = 1030000000;
+    CHECK(line_of(one).find("since about 1030 s;") != std::string::npos);
+    const struct {
+        double x;
+        const char* text;
+    } numbers[] = {{0.0, "+0"},           {1.0, "+1"},      {-1.25, "-1.25"},       {9.996, "+10"},
+                   {99.96, "+100"},       {123.4, "+123"},  {999.0, "+999"},        {120.0, "+120"},
+                   {10.5, "+10.5"},       {50.0, "+50"},    {999.6, "+1e+03"},      {-1.25e12, "-1.25e+12"},
+                   {0.5, "+0.5"},         {0.07, "+0.07"},  {0.0125, "+0.0125"},    {1e-4, "+0.0001"},
+                   {0.00034, "+0.00034"}, {3e-5, "+3e-05"}, {-2.5e-11, "-2.5e-11"}, {0.1004, "+0.1"}};
+    for (const auto& number : numbers) {
+        CHECK(line_of(found(1U, number.x)).substr(0U, std::strlen(number.text) + 13U) == std::string("gyro: gain ") + number.text + " (");
+    }
+    CHECK(line_of(found(1U, std::numeric_limits<double>::infinity())).substr(0U, 15U) == "gyro: gain +0 (");
+    CHECK(line_of(found(1U, std::numeric_limits<double>::quiet_NaN())).find("0 (") != std::string::npos);
+}
+
+TEST_CASE("several parts, no single one and none have a line", "[REQ-ISO-5]") {
+    CHECK(line_of(lpvg_parts_t{}) == "no part differs");
+    CHECK(line_of(found(0U, 0.0)) == "no single part explains it, since about 60 s");
+    lpvg_parts_t two = found(3U, 0.1);
+    CHECK(line_of(two) == "one of gyro, speed, since about 60 s; check the gyro's mounting; check the wheel size");
+    two.likeliest = 1U;
+    const std::string text = "one of speed, gyro, since about 60 s; check the wheel size; check the gyro's mounting";
+    CHECK(line_of(two) == text);
+    for (const std::size_t room : {1U, 2U, 20U}) {
+        CHECK(line_of(two, room) == text.substr(0U, room - 1U));
+    }
+    CHECK(line_of(two, text.size() + 1U) == text);
+    CHECK(line_of(found(1U << vehicle_part | 1U, 0.1)).substr(0U, 20U) == "one of gyro, speed, ");
+    const lpvg_part_words_t part{};
+    const lpvg_size_words_t size{};
+    char letter = 'x';
+    CHECK(lpvg_isolation_line(nullptr, &part, &size, &letter, 1U) == 0U);
+    CHECK(lpvg_isolation_line(&two, nullptr, &size, &letter, 1U) == 0U);
+    CHECK(lpvg_isolation_line(&two, &part, nullptr, &letter, 1U) == 0U);
+    CHECK(lpvg_isolation_line(&two, &part, &size, nullptr, 1U) == 0U);
+    CHECK(lpvg_isolation_line(&two, &part, &size, &letter, 0U) == 0U);
+    CHECK(letter == 'x');
+}
+
+TEST_CASE("each named part is a trouble code", "[REQ-ISO-5]") {
+    const auto codes = [](const lpvg_parts_t& parts, uint8_t before = 1U) {
+        lpvg_j1939_findings_t findings{};
+        findings.n_codes = before;
+        lpvg_isolation_findings(&parts, &findings);
+        std::vector<std::pair<uint32_t, uint32_t>> told;
+        for (uint32_t k = before; k < findings.n_codes; ++k) {
+            told.emplace_back(findings.code[k].spn, findings.code[k].fmi);
+        }
+        return told;
+    };
+    using Codes = std::vector<std::pair<uint32_t, uint32_t>>;
+    lpvg_parts_t one = found(2U, 0.1);
+    const uint32_t spn = LPVG_ISOLATION_SPN + 2U;
+    CHECK(codes(one) == Codes{{spn, LPVG_CAN_FMI_CALIBRATION}});
+    one.size = 4U;
+    CHECK(codes(one) == Codes{{spn, LPVG_CAN_FMI_UPDATE_RATE}});
+    one.size = 5U;
+    CHECK(codes(one) == Codes{{spn, LPVG_CAN_FMI_DRIFTED_HIGH}});
+    one.value = Real(0);
+    CHECK(codes(one) == Codes{{spn, LPVG_CAN_FMI_DRIFTED_LOW}});
+    for (uint32_t k = 0; k < 3U; ++k) {
+        one.size = 3U * signals + k;
+        CHECK(codes(one) == Codes{{spn, LPVG_CAN_FMI_CALIBRATION}});
+    }
+    const uint32_t last = LPVG_ISOLATION_SPN + 1U + vehicle_part;
+    const lpvg_parts_t two = found(1U << vehicle_part | 1U, 0.1);
+    CHECK(codes(two) == Codes{{LPVG_ISOLATION_SPN + 1U, LPVG_CAN_FMI_CONDITION}, {last, LPVG_CAN_FMI_CONDITION}});
+    CHECK(codes(two, LPVG_J1939_CODES_MAX - 1U).size() == 1U);
+    CHECK(codes(two, LPVG_J1939_CODES_MAX).empty());
+    CHECK(codes(found(0U, 0.0)) == Codes{{LPVG_ISOLATION_SPN, LPVG_CAN_FMI_ROOT_UNKNOWN}});
+    CHECK(codes(lpvg_parts_t{}).empty());
+    lpvg_j1939_findings_t none{};
+    lpvg_isolation_findings(nullptr, &none);
+    lpvg_isolation_findings(&two, nullptr);
+    CHECK(none.n_codes == 0U);
 }
 
 TEST_CASE("work that waits over a window's end judges what was added before", "[REQ-ISO-3]") {

@@ -4,6 +4,7 @@
 #include "lpvguard/isolation.h"
 
 #include <cmath>
+#include <limits>
 
 #include "isolation_checks.hpp"
 #include "monitor/model_step.hpp"
@@ -21,6 +22,7 @@ constexpr Real sure = Real(0.95);  // probability that the named parts have toge
 constexpr Real alike = Real(5.88887795833288);  // 2 log(sure / (1 - sure)): a criterion below it excludes no part
 constexpr Real odds = Real(6.907755278982137);  // log 1000, against a second fault
 constexpr Real needed = Real(19), unexplained = Real(0.05), interval = Real(1.96);
+constexpr Real urgent = Real(0.3);  // of a usual fault: needs service now
 constexpr Real log_2 = Real(0.693147180559945309);
 
 static_assert(LPVG_ISOLATION_RESPONSES == first_parameter + LPVG_ISOLATION_PARAMETERS, "one a response");
@@ -382,16 +384,15 @@ void estimate(lpvg_isolation_t& self) {
     Real surest = Real(-1);
     for (std::size_t size = 0; size < sizes; ++size) {
         Sizes chosen;
-        Real value = Real(0), variance = Real(0);
-        bool is_of_part = false;
+        Real value = Real(0), variance = Real(0), usual = Real(0);
         for (std::size_t i = 0; i < m; ++i) {
             const bool own = part_of(self, i) == part && is_of_size(i, size) && r.fault[i] > Real(0);
-            is_of_part = is_of_part || own;
+            usual = own ? r.fault[i] : usual;
             chosen[i] = own ? spread[i] : Real(0);
             value += chosen[i] * b[i] / r.scale;
             variance += own ? r.spread[i] * r.spread[i] : Real(0);
         }
-        if (!is_of_part) {
+        if (!(usual > Real(0))) {
             continue;
         }
         const Real half_width = interval * std::sqrt(factored.lowered(chosen) + variance);
@@ -399,6 +400,7 @@ void estimate(lpvg_isolation_t& self) {
             surest = std::abs(value) / half_width;
             self.newest.size = static_cast<uint32_t>(size);
             self.newest.value = value;
+            self.newest.now = std::abs(value) > urgent * usual;
             self.newest.low = value - half_width;
             self.newest.high = value + half_width;
         }
@@ -461,6 +463,93 @@ void judge(lpvg_isolation_t& self) {
     estimate(self);
     const bool likelier = self.pair_parts != 0U && self.pair > self.fit[best] + odds - alike / Real(2);
     end_judgement(self, named(self) | (likelier ? self.pair_parts : 0U));
+}
+
+// --- words ---
+
+// Text that ends where its room does.
+class Line {
+public:
+    Line(char* text, std::size_t room) : text_(text), room_(room) {}
+    std::size_t size() const { return size_; }
+    void add(char letter) {
+        if (size_ + 1U < room_) {
+            text_[size_] = letter;
+            ++size_;
+        }
+        text_[size_] = '\0';
+    }
+    void add(const char* words) {
+        for (; *words != '\0'; ++words) {
+            add(*words);
+        }
+    }
+    void add_whole(int64_t x) {
+        int64_t power = 1;
+        while (x / power >= 10) {
+            power *= 10;
+        }
+        for (; power > 0; power /= 10) {
+            add(static_cast<char>('0' + x / power % 10));
+        }
+    }
+    // Three digits at most, as "%+.3g" of C.
+    void add_number(Real x) {
+        add(x < Real(0) ? '-' : '+');
+        x = std::abs(x);
+        if (!(x > Real(0) && x <= std::numeric_limits<Real>::max())) {
+            add('0');
+            return;
+        }
+        int exponent = 0, last = 2;
+        for (; x >= Real(10); ++exponent) {
+            x /= Real(10);
+        }
+        for (; x < Real(1); --exponent) {
+            x *= Real(10);
+        }
+        int digits = static_cast<int>(x * Real(100) + Real(0.5));
+        if (digits == 1000) {
+            digits = 100;
+            ++exponent;
+        }
+        const bool is_plain = exponent > -5 && exponent < 3;
+        const int point = is_plain ? exponent : 0;
+        for (; last > 0 && last > point && digits % 10 == 0; --last) {
+            digits /= 10;
+        }
+        for (int k = point < 0 ? point : 0; k <= last; ++k) {
+            const int power = last - k == 2 ? 100 : last - k == 1 ? 10 : 1;
+            add(static_cast<char>('0' + (k < 0 ? 0 : digits / power % 10)));
+            if (k == point && k < last) {
+                add('.');
+            }
+        }
+        if (!is_plain) {
+            add('e');
+            add(exponent < 0 ? '-' : '+');
+            const int size = exponent < 0 ? -exponent : exponent;
+            if (size < 10) {
+                add('0');
+            }
+            add_whole(size);
+        }
+    }
+
+private:
+    char* text_;
+    std::size_t room_, size_ = 0U;
+};
+
+// Failure mode (J1939-73) of a part that is named alone.
+uint8_t failure_of(const lpvg_parts_t& parts) {
+    if (parts.size >= 3U * signals || parts.size % 3U == 0U) {
+        return LPVG_CAN_FMI_CALIBRATION;
+    }
+    if (parts.size % 3U == 1U) {
+        return LPVG_CAN_FMI_UPDATE_RATE;
+    }
+    return parts.value > Real(0) ? LPVG_CAN_FMI_DRIFTED_HIGH : LPVG_CAN_FMI_DRIFTED_LOW;
 }
 
 // --- windows ---
@@ -702,4 +791,70 @@ extern "C" bool lpvg_isolation_work(lpvg_isolation_t* self, const lpvg_monitor_t
         }
     }
     return self->judging || self->pending;
+}
+
+extern "C" size_t lpvg_isolation_line(const lpvg_parts_t* parts, const lpvg_part_words_t* part_words, const lpvg_size_words_t* size_words,
+                                      char* text, size_t room) {
+    if (parts == nullptr || part_words == nullptr || size_words == nullptr || text == nullptr || room == 0U) {
+        return 0U;
+    }
+    Line line(text, room);
+    if (!parts->differs) {
+        line.add("no part differs");
+        return line.size();
+    }
+    // The likeliest part comes first.
+    uint32_t order[most_parts];
+    std::size_t count = 0U;
+    for (uint32_t k = 0U; k <= most_parts; ++k) {
+        const uint32_t p = k == 0U ? parts->likeliest : k - 1U;
+        if (((parts->parts >> p) & 1U) != 0U && (k == 0U || p != parts->likeliest)) {
+            order[count] = p;
+            ++count;
+        }
+    }
+    line.add(count == 0U ? "no single part explains it" : count == 1U ? "" : "one of ");
+    for (std::size_t k = 0U; k < count; ++k) {
+        line.add(k == 0U ? "" : ", ");
+        line.add(part_words[order[k]].name);
+    }
+    if (count == 1U) {
+        const lpvg_size_words_t& size = size_words[parts->size];
+        line.add(": ");
+        line.add(size.name);
+        line.add(' ');
+        line.add_number(parts->value);
+        line.add(size.unit);
+        line.add(" (");
+        line.add_number(parts->low);
+        line.add(" to ");
+        line.add_number(parts->high);
+        line.add(')');
+    }
+    line.add(", since about ");
+    line.add_whole((parts->from_us + 500000) / 1000000);
+    line.add(" s");
+    for (std::size_t k = 0U; k < count; ++k) {
+        line.add("; check ");
+        line.add(part_words[order[k]].check);
+    }
+    if (count == 1U) {
+        line.add(parts->now ? "; service now" : "; service later");
+    }
+    return line.size();
+}
+
+extern "C" void lpvg_isolation_findings(const lpvg_parts_t* parts, lpvg_j1939_findings_t* findings) {
+    if (parts == nullptr || findings == nullptr || !parts->differs) {
+        return;
+    }
+    const bool is_single = parts->parts != 0U && (parts->parts & (parts->parts - 1U)) == 0U;
+    const uint8_t mode = is_single ? failure_of(*parts) : parts->parts == 0U ? LPVG_CAN_FMI_ROOT_UNKNOWN : LPVG_CAN_FMI_CONDITION;
+    for (uint32_t k = 0U; k <= most_parts; ++k) {
+        const bool is_named = k == 0U ? parts->parts == 0U : ((parts->parts >> (k - 1U)) & 1U) != 0U;
+        if (is_named && findings->n_codes < LPVG_J1939_CODES_MAX) {
+            findings->code[findings->n_codes] = {LPVG_ISOLATION_SPN + k, mode, 0U};
+            ++findings->n_codes;
+        }
+    }
 }

@@ -22,6 +22,16 @@ def test_the_confusion_table_counts_every_drive(tmp_path, capsys):
     assert "by structure vehicle is told from yaw_rate, wheel_rate" in text
 
 
+@pytest.mark.slow("10 s: scales of 20 and of 60 drives")
+def test_other_loads_and_tyres_are_the_vehicle_and_silent_where_declared(capsys):
+    result = isolation.bench_nuisance(2, 60.0, 1, 1)
+    undeclared, declared = result["rows"][:6], result["rows"][6:]
+    assert undeclared[0]["outcomes"]["healthy"] == 2 and result["wrong"]["count"] == 0
+    assert result["right"]["of"] == 10 and result["right"]["count"] >= 4
+    assert all(r["outcomes"]["healthy"] == 2 for r in declared)
+    assert "load × 0.8, declared" in isolation.words(result)
+
+
 def test_outcomes_tell_one_of_several_and_wrong_apart():
     judged = isolation.outcome
     assert judged((), False, {"a"}) == "healthy" and judged((), True, {"a"}) == "no single"

@@ -119,6 +119,17 @@ def test_a_gap_begins_blocks_anew_and_an_alarm_begins_a_window(isolation, tmp_pa
     assert np.concatenate([p.parts.value for p in pieces]) == pytest.approx(whole.value)
 
 
+@pytest.mark.requirement("REQ-ISO-5")
+def test_the_header_has_words_and_trouble_codes_of_every_part(isolation):
+    document = PROJECT.model_dump(by_alias=True)
+    check = {"check": {"wheel_rate": 'the "rear" tyres'}}
+    project = parse_project(document | {"isolation": document["isolation"] | check}, "x")
+    text = parts_header(project, isolation)
+    assert '{"wheel_rate", "the \\"rear\\" tyres"}, {"acceleration_rate", "mounting, wiring' in text
+    assert '{"yaw_rate delay", " s"}, {"yaw_rate bias", " rad/s"}' in text and '{"K factor", ""}' in text
+    assert "520220  no single part\n   520221  yaw_rate\n   520222  wheel_rate\n" in text
+
+
 def test_what_the_core_has_no_room_for_is_refused():
     document = PROJECT.model_dump(by_alias=True)
     settings = document["isolation"] | {"vehicle": ["K", "T1", "L"]}

@@ -265,6 +265,31 @@ def told_apart(structure: dict[str, list[str]], part: str, other: str) -> bool:
     return bool(set(structure[part]) - set(structure[other]))
 
 
+def to_check(project: Project, part: str) -> str:
+    """Describe what to check of a part: from the project file, or the usual text.
+
+    Parameters
+    ----------
+    project : Project, with ``isolation``
+    part : str
+
+    Returns
+    -------
+    str
+    """
+    settings = project.isolation
+    assert settings is not None
+    if part in settings.check:
+        return settings.check[part]
+    if part == VEHICLE:
+        return "tyres, tyre pressure and load"
+    if part == settings.part_of(project.speed.name):
+        return "the scale factor of the speed, and the wheel size"
+    if part in {settings.part_of(s.name) for s in project.inputs}:
+        return f"zero offset, ratio and delay of {part}"
+    return f"mounting, wiring and calibration of {part}"
+
+
 @dataclass(frozen=True)
 class Moments:
     """Moments of a healthy drive.

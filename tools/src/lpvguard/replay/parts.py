@@ -14,7 +14,7 @@ from ..base.runs import runs
 from ..core.compiled import VERDICTS, is_alarming
 from ..drives.tables import Drive
 from ..identify.identification import ISOLATION
-from ..identify.isolation import VEHICLE, Changes, Isolation, PartFinding
+from ..identify.isolation import Changes, Isolation, PartFinding, to_check
 from ..vehicle.nominal import NominalModel
 from ..vehicle.project import Project
 
@@ -172,26 +172,12 @@ class PartNamer:
     def _advice(self, finding: PartFinding, since_s: float) -> tuple[str | None, str]:
         """When to service the part, and the text of the result."""
         line = f"{finding.words()}, since about {since_s:.0f} s"
-        checks = "; ".join(f"check {self._check(part)}" for part in finding.parts)
+        checks = "; ".join(f"check {to_check(self.project, part)}" for part in finding.parts)
         if len(finding.parts) != 1 or finding.value is None:
             return None, f"{line}; {checks}" if checks else line
         usual = next(c.fault for c in self.isolation.columns if c.what == finding.what)
         service = "now" if abs(finding.value) > NOW * usual else "later"
         return service, f"{line}; {checks}; service {service}"
-
-    def _check(self, part: str) -> str:
-        """Text on what to check of a part: from the project file, or the usual text."""
-        settings, project = self.project.isolation, self.project
-        assert settings is not None
-        if part in settings.check:
-            return settings.check[part]
-        if part == VEHICLE:
-            return "tyres, tyre pressure and load"
-        if part == settings.part_of(project.speed.name):
-            return "the scale factor of the speed, and the wheel size"
-        if part in {settings.part_of(s.name) for s in project.inputs}:
-            return f"zero offset, ratio and delay of {part}"
-        return f"mounting, wiring and calibration of {part}"
 
 
 class RunningParts:

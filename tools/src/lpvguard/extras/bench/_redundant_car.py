@@ -83,6 +83,15 @@ FURTHER = tuple(
 DOUBLE = tuple((FAULTS[i], FAULTS[j]) for i, j in ((0, 4), (1, 11), (2, 6), (8, 9), (3, 9), (0, 8)))
 """Pairs of simultaneous faults of different parts."""
 
+NUISANCES = (
+    (PartFault("load", 0.8),),
+    (PartFault("load", 1.3),),
+    (PartFault("tyre", 0.8),),
+    (PartFault("tyre", 1.15),),
+    (PartFault("tyre", 0.8), PartFault("load", 1.3)),
+)
+"""Loads, a wet road or worn tyres, other tyres, and two at once: no faults."""
+
 
 @cache
 def redundant_project() -> Project:

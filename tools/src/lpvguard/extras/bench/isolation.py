@@ -7,6 +7,9 @@ yes if the table of isolability distinguishes the part from every other part at 
 With ``--vehicle`` and ``--data``, the bench judges measured drives of a project with [isolation]. It plants
 faults of every sensor in pieces of drives. The scales come from the other drives. With a single drive, they
 come from its other pieces.
+
+With ``--nuisance``, the bench judges other loads and tyres of the synthetic car, first undeclared. Then the
+scales also come from a group of drives with each of them.
 """
 
 from collections import Counter
@@ -21,15 +24,25 @@ from ...base.errors import InputError
 from ...base.parallel import workers
 from ...base.rates import rate, share_words
 from ...drives.tables import Drive, list_experiments, read_drive
-from ...identify.isolation import Changes, Isolation, residual_structure, told_apart
+from ...identify.isolation import VEHICLE, Changes, Isolation, residual_structure, told_apart
 from ...vehicle.nominal import NominalModel
 from ...vehicle.project import Project, load_project
 from . import parser, require_at_least, show
 from ._planted_parts import held_out, pieces_of, planted
-from ._redundant_car import DOUBLE, FAULTS, FURTHER, PartFault, redundant_drives, redundant_project
+from ._redundant_car import (
+    DOUBLE,
+    FAULTS,
+    FURTHER,
+    NUISANCES,
+    PartFault,
+    redundant_drives,
+    redundant_project,
+)
 
 HEALTHY_DRIVES, HEALTHY_S, FROM_S = 20, 180.0, 40.0
 """Number and length [s] of the drives for the scales; time at which a fault begins [s]."""
+GROUP_DRIVES = 8
+"""Number of drives with a declared nuisance."""
 KINDS = ("right", "one of", "wrong", "no single", "healthy")
 """Outcomes: only the right part, the right part among others, other parts, no part, no difference."""
 
@@ -129,6 +142,32 @@ def bench_isolation(drives: int, window_s: float, seed: int, jobs: int) -> dict[
     }
 
 
+def bench_nuisance(drives: int, window_s: float, seed: int, jobs: int) -> dict[str, Any]:
+    """The numbers of loads and tyres that are no faults, undeclared and declared as groups."""
+    project = redundant_project()
+    changes = Changes(project, NominalModel(project))
+    healthy = redundant_drives(HEALTHY_DRIVES, HEALTHY_S, seed)[0]
+    groups = redundant_drives(GROUP_DRIVES, HEALTHY_S, seed + 2, NUISANCES)
+    made = redundant_drives(drives, FROM_S + window_s + 1.0, seed + 3, ((), *NUISANCES))
+    rows = []
+    for kind, learnt in (("undeclared", healthy), ("declared", sum(groups, healthy))):
+        isolation = Isolation.from_drives(changes, learnt, window_s)
+        with workers(jobs) as run:
+            for nuisance, judged in zip(((), *NUISANCES), made, strict=True):
+                label = " and ".join(f.label for f in nuisance) or "none"
+                named = run(partial(_named, changes, isolation), judged)
+                rows.append(_row(f"{label}, {kind}", VEHICLE if nuisance else "", None, named))
+    undeclared = rows[1 : 1 + len(NUISANCES)]
+    return {
+        "drives": drives,
+        "window_s": window_s,
+        "rows": rows,
+        "right": _share("right", undeclared),
+        "wrong": _share("wrong", undeclared),
+        **_structure(project),
+    }
+
+
 def bench_measured(project: Project, drives: list[Drive], window_s: float, size: float) -> dict[str, Any]:
     """Compute the numbers for faults planted in measured drives; ``size`` is a factor of the usual sizes.
 
@@ -172,7 +211,7 @@ def words(result: dict[str, Any]) -> str:
         said = {None: "", True: "yes", False: "no"}[r["predicted"]]
         lines.append(f"{r['fault']:<54}{counts}  {said}".rstrip())
     lines += [
-        f"single faults: right {share_words(result['right'])}; wrong {share_words(result['wrong'])}",
+        f"single parts: right {share_words(result['right'])}; wrong {share_words(result['wrong'])}",
         *(
             f"two faults at once, named by another part: {share_words(result[key])}"
             for key in ("wrong_of_two",)
@@ -204,6 +243,7 @@ def main(argv: list[str]) -> None:
     arguments.add_argument("--window", type=float, default=60.0, help="s of driving that a name rests on")
     arguments.add_argument("--seed", type=int, default=1)
     arguments.add_argument("--jobs", type=int, default=1, help="processes that share the drives")
+    arguments.add_argument("--nuisance", action="store_true", help="other loads and tyres in place of faults")
     arguments.add_argument("--vehicle", help="project file with [isolation], of measured drives")
     arguments.add_argument("--data", type=Path, help="folder of its drives")
     arguments.add_argument("--size", type=float, default=1.0, help="factor of the planted faults' sizes")
@@ -212,5 +252,6 @@ def main(argv: list[str]) -> None:
     if options.vehicle or options.data:
         result = bench_measured(*_measured(options.vehicle, options.data), options.window, options.size)
     else:
-        result = bench_isolation(options.drives, options.window, options.seed, options.jobs)
+        bench = bench_nuisance if options.nuisance else bench_isolation
+        result = bench(options.drives, options.window, options.seed, options.jobs)
     show(words(result), result, options.json_out)
