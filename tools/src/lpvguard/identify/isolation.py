@@ -60,7 +60,8 @@ ROUNDS = 60
 
 @dataclass(frozen=True)
 class PartColumn:
-    """Change of the errors by a unit size of one change of a part.
+    """One possible change of a part, for example the gain of a sensor. Its column holds the effect on the
+    errors.
 
     Attributes
     ----------

@@ -148,7 +148,10 @@ def of_samples(omega: np.ndarray, L: np.ndarray) -> Response:
     omega, L = np.asarray(omega, float), np.asarray(L, complex)
     if len(omega) < FEWEST or omega[0] <= 0 or (np.diff(omega) <= 0).any() or L.shape != omega.shape:
         raise SynthesisError(
-            "loop", "omega", f"{len(omega)} frequencies", f"at least {FEWEST}, rising from above 0, L at each"
+            "loop",
+            "omega",
+            f"{len(omega)} frequencies",
+            f"at least {FEWEST} rising frequencies above 0, and one L for each",
         )
     if not np.isfinite(L).all():
         raise SynthesisError("loop", "L", "a sample is not finite", "finite samples")
@@ -190,7 +193,7 @@ def of_system(loop: StateSpace) -> tuple[Response, np.ndarray]:
         raise SynthesisError("loop", "poles", "the open loop is not stable", "a stable plant and controller")
     back = 1 + loop.D.item()
     if back == 0:
-        raise SynthesisError("loop", "D", "-1: 1 + L vanishes at infinity", "a well-posed loop")
+        raise SynthesisError("loop", "D", "-1, so that 1 + L is 0 at infinity", "a well-posed loop")
     closed = np.linalg.eigvals(loop.A - loop.B @ loop.C / back)
     poles = np.concatenate([loop.poles(), closed]).astype(complex)
     if loop.dt:

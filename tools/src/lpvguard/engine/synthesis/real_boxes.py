@@ -129,7 +129,7 @@ def proved_at(
 
     Returns
     -------
-    PointBound, or None where no tried scalings prove it
+    PointBound, or None where no scalings prove the bound
     """
     if not np.isfinite(M).all():
         return None
@@ -272,7 +272,7 @@ class Prover:
         return _contain(corners, np.append(-size, low), np.append(size, high))
 
     def _reached(self, shift: Shift, within: FrequencyCell, omega: float) -> tuple[float, float]:
-        """Ends of the cell around ``omega`` on which the scalings of ``within`` hold, inside ``within``."""
+        """Ends of the largest part of the cell ``within``, around ``omega``, on which its scalings hold."""
         if not isinstance(self.loop, StateSpace):
             return within.low, within.high
 
