@@ -228,8 +228,10 @@ class ChangeTest:
         }
 
     def restored(self, data: dict, where: str) -> ChangeTest:
-        """The test with the stored sizes and calibration of ``data``. Raises InputError for another
-        memory."""
+        """The test with the stored sizes and calibration of ``data``.
+
+        Raises InputError for another memory.
+        """
         if data["memory_s"] != self.memory_s:
             raise InputError(
                 where, "memory_s", f"{data['memory_s']:g}", f"{self.memory_s:g}, the memory of project.json"

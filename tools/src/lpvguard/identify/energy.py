@@ -40,8 +40,9 @@ STATED_RTOL = 1e-8
 
 
 def fan(n_y: int) -> np.ndarray:
-    """Directions a (D, n_y) up to their sign, in units of sigma, with sum |a_j| = 1. They include single
-    outputs.
+    """Directions a (D, n_y) up to their sign, in units of sigma, with sum |a_j| = 1.
+
+    They include single outputs.
 
     For two outputs their order is bit-reversed. Successive judgements then use distant directions, because
     neighbours are nearly equal.

@@ -108,8 +108,9 @@ class ErrorDomain:
         return self.lowest_knot * AMPLITUDE_RATIO ** np.arange(AMPLITUDE_KNOTS)
 
     def relative_speed(self, v: np.ndarray) -> np.ndarray:
-        """Relative speed s of speeds v [m/s], in the shape of v. It is -1 and 1 at the ends of the speed
-        range.
+        """Relative speed s of speeds v [m/s], in the shape of v.
+
+        It is -1 and 1 at the ends of the speed range.
 
         s is linear in log(v + SLOW * highest speed), because dynamics change with 1/v, and most at low speed.
         """

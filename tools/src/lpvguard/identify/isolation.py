@@ -60,8 +60,9 @@ ROUNDS = 60
 
 @dataclass(frozen=True)
 class PartColumn:
-    """One possible change of a part, for example the gain of a sensor. Its column holds the effect on the
-    errors.
+    """One possible change of a part, for example the gain of a sensor.
+
+    Its column holds the effect on the errors.
 
     Attributes
     ----------

@@ -382,8 +382,10 @@ class ErrorEstimate:
 
     @property
     def k(self) -> float:
-        """Factor for the simultaneous level, sqrt(ln(N/LEVEL)) for N complex estimates (T31). A pool counts
-        once."""
+        """Factor for the simultaneous level, sqrt(ln(N/LEVEL)) for N complex estimates (T31).
+
+        A pool counts once.
+        """
         estimates = self.se.reshape(-1, np.prod(self.se.shape[2:], dtype=int))
         N = sum(len(np.unique(row[np.isfinite(row)])) for row in estimates)
         return float(np.sqrt(np.log(max(1, N) / LEVEL)))

@@ -149,8 +149,10 @@ def _sent(key: uuid.UUID, project: Project, model: NominalModel) -> DriveReader:
 
 
 def _spectra_rows(s: FrameSet, name: str, way: np.ndarray, estimator: Estimator) -> Rows:
-    """Rows of a sample, from the frames of ``s`` whose starts the core uses. ``way`` (N + 1,) sums the
-    speed."""
+    """Rows of a sample, from the frames of ``s`` whose starts the core uses.
+
+    ``way`` (N + 1,) sums the speed.
+    """
     on_grid = (
         s.starts % estimator.hop[s.bin] == 0 if estimator.window == "hann" else np.ones(len(s.starts), bool)
     )

@@ -280,8 +280,10 @@ class Pools:
     def calibrated(
         self, drives: Iterable[str], alpha: float, recordings: Recordings, target: RateTarget | None = None
     ) -> Pools:
-        """The pools with the threshold from the scores of calibration drives. ``target`` does not need
-        maxima."""
+        """The pools with the threshold from the scores of calibration drives.
+
+        ``target`` does not need maxima.
+        """
         ratio = self.ratios()
         scores = {d: ratio[recordings.named(d)] for d in drives}
         if target is not None:

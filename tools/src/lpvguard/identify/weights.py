@@ -161,8 +161,10 @@ class Weights:
 
     @classmethod
     def from_dict(cls, data: dict, source: str) -> Weights:
-        """Weights from the result of `to_dict`, with a new proof of every certificate. Raises InputError if
-        one fails."""
+        """Weights from the result of `to_dict`, with a new proof of every certificate.
+
+        Raises InputError if one fails.
+        """
 
         def weight(entry: dict, name: str) -> FittedWeight:
             omega = np.array(entry["omega_rad_s"], float)

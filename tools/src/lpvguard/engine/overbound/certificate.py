@@ -120,7 +120,9 @@ def verify_overbound(
 
 def is_hurwitz(coefficients: np.ndarray) -> bool:
     """Return whether all roots lie in the open left half-plane, by Routh's array in rational arithmetic.
-    ``coefficients`` (n + 1,) in descending powers, the first not 0."""
+
+    ``coefficients`` (n + 1,) in descending powers, the first not 0.
+    """
     c = [Fraction(float(v)) for v in coefficients]
     if c[0] < 0:
         c = [-v for v in c]

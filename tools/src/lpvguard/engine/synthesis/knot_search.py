@@ -46,8 +46,10 @@ SOLVED_AT_ONCE = 200
 
 
 class KnotBarrier(Barrier):
-    """Barrier in which every inequality concerns two neighbouring terms. ``segment`` (count,) is the first
-    one."""
+    """Barrier in which every inequality concerns two neighbouring terms.
+
+    ``segment`` (count,) is the first one.
+    """
 
     def __init__(
         self,
@@ -321,8 +323,10 @@ def _units(F: np.ndarray, segment: np.ndarray, unit: np.ndarray) -> np.ndarray:
 def _feasible(
     barrier: KnotBarrier, start: Point, units: np.ndarray, gain: np.ndarray, price: np.ndarray
 ) -> Point | None:
-    """Newton's method on weight t - sum_i log det(F_i + t units_i) until t < 0. None where t stays
-    positive."""
+    """Newton's method on weight t - sum_i log det(F_i + t units_i) until t < 0.
+
+    None where t stays positive.
+    """
     P, size = start.P, len(units) * units.shape[-1]
     L = np.linalg.inv(np.linalg.cholesky(units))
     excess = np.full(len(gain), start.excess)

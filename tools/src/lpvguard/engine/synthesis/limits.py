@@ -82,8 +82,10 @@ def floor_exceeds(plant: GeneralisedPlant, omega: float, level: float) -> bool:
 
 
 class _Frequency:
-    """Both terms of Parrott's theorem at one frequency. Arrays ``low`` and ``high`` (k, τ) are boxes of ln
-    d."""
+    """Both terms of Parrott's theorem at one frequency.
+
+    Arrays ``low`` and ``high`` (k, τ) are boxes of ln d.
+    """
 
     def __init__(self, plant: GeneralisedPlant, G: np.ndarray):
         p, m = plant.n_measurement, plant.n_control

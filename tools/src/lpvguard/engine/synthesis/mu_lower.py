@@ -388,8 +388,10 @@ def _free_parameters(structure: Structure, parts: Parts) -> Iterator[Callable[[f
 
 
 def _make_real(M: np.ndarray, vary: Callable[[float], np.ndarray], start: complex) -> np.ndarray | None:
-    """Move the eigenvalue ``start`` of M Δ(0) to the real axis by secant steps. Returns Δ(s) / eigenvalue, or
-    None."""
+    """Move the eigenvalue ``start`` of M Δ(0) to the real axis by secant steps.
+
+    Returns Δ(s) / eigenvalue, or None.
+    """
     s, step, value = 0.0, 1e-4, start
     for _ in range(30):
         if abs(value.imag) <= 1e-13 * abs(value):

@@ -349,8 +349,9 @@ def _whiten(L: np.ndarray, F: np.ndarray) -> np.ndarray:
 
 
 def _dual_gap(x: np.ndarray, Z: np.ndarray, structure: Structure, trace: np.ndarray) -> float:
-    """Largest distance of the infimum below the level. The multipliers Z of the centre prove level − gap ≤
-    β².
+    """Largest distance of the infimum below the level.
+
+    The multipliers Z of the centre prove level − gap ≤ β².
 
     It is tight only for scalar D_i. With a repeated block it is inf, and the search ends when the levels
     stagnate.

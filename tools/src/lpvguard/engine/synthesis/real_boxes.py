@@ -291,8 +291,10 @@ class Prover:
         return all(self._positive(shift, point, omega) for omega in inside)
 
     def _is_narrow(self, part: Part) -> bool:
-        """Return whether M hardly changes over ``part``. Cells that leave a rest of such a part would never
-        end."""
+        """Return whether M hardly changes over ``part``.
+
+        Cells that leave a rest of such a part would never end.
+        """
         return (
             part.high <= max(part.low * (1 + self.slack), self.slack * self.slowest)
             or part.low * self.slack >= self.fastest

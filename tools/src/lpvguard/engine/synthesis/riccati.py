@@ -27,8 +27,10 @@ CANCELLED = 1e-9
 
 
 class RiccatiSolution(NamedTuple):
-    """A stabilising solution ``X`` (n, n), symmetric. ``definite``: X is positive semidefinite within
-    rounding."""
+    """A stabilising solution ``X`` (n, n), symmetric.
+
+    ``definite``: X is positive semidefinite within rounding.
+    """
 
     X: np.ndarray
     definite: bool
@@ -144,8 +146,9 @@ def hamiltonian(side: Side, gamma: float) -> np.ndarray:
 
 
 def balance_hamiltonian(H: np.ndarray, floor: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
-    """Scale H (2n, 2n) by a symplectic diag(t, 1/t) of powers of two (Benner 2001). Returns the scaled H and
-    t (n,).
+    """Scale H (2n, 2n) by a symplectic diag(t, 1/t) of powers of two (Benner 2001).
+
+    Returns the scaled H and t (n,).
 
     Entries up to ``floor`` times the largest entry do not influence t.
     """

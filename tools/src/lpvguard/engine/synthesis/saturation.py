@@ -159,8 +159,10 @@ class LimitedLoop:
         return self.system.stability_margin() > 0
 
     def stability(self) -> ConstantScalings:
-        """Loop without performance. A norm below 1 proves that it is stable for every Δ and demand within κ
-        u_max."""
+        """Loop without performance.
+
+        A norm below 1 proves that it is stable for every Δ and demand within κ u_max.
+        """
         return ConstantScalings(
             self.system.select(slice(0, sum(self.rows)), slice(0, sum(self.cols))), self.rows, self.cols
         )

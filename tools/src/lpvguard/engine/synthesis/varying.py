@@ -75,8 +75,10 @@ class History:
         return both, w
 
     def gain(self, start: np.ndarray, steps: int = STEPS) -> tuple[float, np.ndarray]:
-        """Lower bound of the gain, and its input w (T, m) of norm 1. The search begins at ``start`` (T,
-        m)."""
+        """Lower bound of the gain, and its input w (T, m) of norm 1.
+
+        The search begins at ``start`` (T, m).
+        """
         shape = start.shape
         right: list[np.ndarray] = [start.ravel() / np.linalg.norm(start)]
         left: list[np.ndarray] = []

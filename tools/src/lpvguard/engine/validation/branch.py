@@ -26,8 +26,10 @@ COSTLY = 24
 
 @dataclass(frozen=True)
 class Interval:
-    """Bounds of the optimum. ``lower`` is certified. ``z`` (n,) attains ``upper``, or it is None and
-    ``upper`` inf."""
+    """Bounds of the optimum.
+
+    ``lower`` is certified. ``z`` (n,) attains ``upper``, or it is None and ``upper`` inf.
+    """
 
     lower: float
     upper: float
@@ -204,8 +206,10 @@ class _Search:
         return _NodeBounds(lower, edges, central, tangent, readings)
 
     def _read(self, readings: list[np.ndarray]) -> None:
-        """Offer the points of a node. Each of the first points gets a local search, later ones only if they
-        improve."""
+        """Offer the points of a node.
+
+        Each of the first points gets a local search, later ones only if they improve.
+        """
         best = self.best
         for z in readings if self._polished < MAX_POLISHED else readings[:1]:
             before = best.cost

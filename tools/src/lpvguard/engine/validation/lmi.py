@@ -89,8 +89,10 @@ class Centre:
 
 
 def _compiled(n: int, c: Cone) -> ctypes.CDLL:
-    """Kernel with the smallest arrays that can hold a problem of ``n`` rows. Raises InputError if none
-    can."""
+    """Kernel with the smallest arrays that can hold a problem of ``n`` rows.
+
+    Raises InputError if none can.
+    """
     asked = {"N": n, "M": len(c.normal), "R": max(c.order)}
     for sizes in SIZES:
         if all(asked[key] <= sizes[key] for key in sizes):

@@ -83,8 +83,9 @@ class Quadratic:
     def on_subspace(
         self, z: np.ndarray, deltas: dict[int, complex]
     ) -> tuple[np.ndarray, np.ndarray | None] | None:
-        """Project ``z`` on the constraints a z = delta b z. Returns also a basis (n - 1, m) of the free
-        directions.
+        """Project ``z`` on the constraints a z = delta b z.
+
+        Returns also a basis (n - 1, m) of the free directions.
 
         ``deltas`` maps the index of a repeated form to its scalar. The basis is None without repeated forms,
         because all directions are free. The result is None if the constraints have no solution.
