@@ -101,7 +101,9 @@ def test_samples_out_of_order_or_of_another_length_are_refused():
     twice, zero = omega.copy(), omega.copy()
     twice[4], zero[0] = twice[3], 0.0
     for bad, samples in ((twice, L), (zero, L), (omega, L[:-1]), (omega[:7], L[:7])):
-        with pytest.raises(SynthesisError, match=r"\d frequencies; expected at least 8, rising from above 0"):
+        with pytest.raises(
+            SynthesisError, match=r"\d frequencies; expected at least 8 rising frequencies above 0"
+        ):
             m.of_samples(bad, samples)
     L[4] = np.nan
     with pytest.raises(SynthesisError, match="not finite"):

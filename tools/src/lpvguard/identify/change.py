@@ -277,8 +277,10 @@ def calibrated_change(
 
 
 def regressor_products(e: np.ndarray, yhat: np.ndarray, v: np.ndarray, estimator: Estimator) -> np.ndarray:
-    """Sums (n_y, 3, 3) of the products of the regressors over a drive, with e and yhat (N, n_y) and v
-    (N,)."""
+    """Sums (n_y, 3, 3) of the products of the regressors over a drive.
+
+    The drive has e and yhat (N, n_y) and v (N,).
+    """
     total = np.zeros((e.shape[1], 3, 3))
     for blocks in Blocks.stretches(e, yhat, estimator.settled(v)):
         total += np.einsum("mji,mjk->jik", blocks.phi, blocks.phi)

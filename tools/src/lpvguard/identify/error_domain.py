@@ -85,8 +85,10 @@ class ErrorDomain:
 
     @cached_property
     def taps(self) -> np.ndarray:
-        """Weights (L, M) of all lags, from lags[0] to the end of the hat function of the last knot, for each
-        knot."""
+        """Weights (L, M) of all lags for each knot.
+
+        The lags go from lags[0] to the end of the hat function of the last knot.
+        """
         end = 2 * self.lags[-1] - self.lags[-2]
         every = np.arange(self.lags[0], end)
         knots = np.r_[self.lags, end]

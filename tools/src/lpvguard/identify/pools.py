@@ -259,8 +259,7 @@ class Pools:
         return replace(self, unit=threshold / own)
 
     def ratios(self, without: str | None = None) -> dict[str, float]:
-        """Largest ratio of a remainder to the bound of all other recordings, for every recording except
-        ``without``."""
+        """Largest ratio of a remainder to the bound of all others, for every recording except ``without``."""
         bounds = self._bounds_of_others(without)
         return {n: float((self.needs[n] / bound).max()) for n, bound in bounds.items()}
 
@@ -352,12 +351,11 @@ class Pools:
 
 
 def chosen_share(needs: PoolNeeds, floor: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Choose W (K, n_y) with the smallest visible gain error at typical excitation, and the mask of silent
-    pools.
+    """Choose W (K, n_y) with the smallest visible gain error at typical excitation.
 
-    ``needs`` are those of the bound-setting drives. ``floor`` (K, n_y) is the limit of the sensors [output
-    units]. A pool is silent where fewer than two recordings have frames, or where a vehicle without response
-    would not exceed the bound.
+    Also returns the mask (K, n_y) of silent pools. ``needs`` are those of the bound-setting drives. ``floor``
+    (K, n_y) is the limit of the sensors [output units]. A pool is silent where fewer than two recordings have
+    frames, or where a vehicle without response would not exceed the bound.
     """
     W, silent = np.zeros(floor.shape), np.ones(floor.shape, bool)
     for k, j in np.ndindex(*floor.shape):

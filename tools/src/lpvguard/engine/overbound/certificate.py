@@ -184,8 +184,7 @@ _Pieces = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 def _least_ratio(
     top: np.ndarray, bottom: np.ndarray, samples: SampledBound, strict: bool
 ) -> tuple[float, float, int]:
-    """Proved lower bound of inf sqrt(top/bottom)/bound, its frequency (rad/s, within 1e-9) and number of
-    tests.
+    """Proved lower bound of inf sqrt(top/bottom)/bound, its frequency (rad/s, within 1e-9), number of tests.
 
     ``top`` and ``bottom`` are polynomials in ascending powers of y, in the unit of ``samples``, with bottom
     >= 0. Returns 0 and the frequency if no positive ratio could be proved. With ``strict``, frequencies

@@ -47,8 +47,10 @@ GRID = 400
 
 @dataclass(frozen=True)
 class LoopMargin:
-    """A margin ``value`` and the frequency ``omega`` [rad/s] where it is attained, None for an unlimited
-    margin."""
+    """A margin ``value`` and the frequency ``omega`` [rad/s] that attains it.
+
+    ``omega`` is None for an unlimited margin.
+    """
 
     value: float
     omega: float | None
@@ -324,8 +326,10 @@ def _disk(name: str, peak: LoopMargin) -> dict[str, LoopMargin]:
 
 
 def _refined(response: Response, omega: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The grid, refined until log L and log (1 + L) change by at most STEP between neighbours, and L on
-    it."""
+    """Refine the grid until log L and log (1 + L) change by at most STEP between neighbours.
+
+    Returns the grid, and L on it.
+    """
     L = response(omega)
     for _ in range(ROUNDS):
         with np.errstate(all="ignore"):

@@ -246,10 +246,10 @@ def _pencil_solution(side: Side, gamma: float, t: np.ndarray) -> tuple[RiccatiSo
 def _from_basis(
     U1: np.ndarray, U2: np.ndarray, t: np.ndarray, noise: float
 ) -> tuple[RiccatiSolution | None, float]:
-    """X = U2 U1⁻¹ in the units before the scaling ``t``, from an orthonormal basis [U1; U2] of the stable
-    subspace.
+    """X = U2 U1⁻¹ from an orthonormal basis [U1; U2] of the stable subspace.
 
-    ``noise`` is the error of the basis where it is larger than rounding.
+    X is in the units before the scaling ``t``. ``noise`` is the error of the basis where it is larger than
+    rounding.
     """
     condition = float(np.linalg.cond(U1))
     skew = U1.T @ U2

@@ -44,8 +44,10 @@ RESERVE = 64
 
 @dataclass(frozen=True)
 class Reachable:
-    """A largest ‖w‖, ``energy``, for which ``log_constants`` (blocks,) prove that the demand keeps its
-    limits."""
+    """Proof that the demand keeps its limits for every ‖w‖ up to ``energy``.
+
+    ``log_constants`` (blocks,) prove it.
+    """
 
     energy: float
     log_constants: np.ndarray
@@ -259,8 +261,7 @@ def _reached(
 
 
 def _proof(A: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray, Q: np.ndarray) -> float:
-    """Least eigenvalue of diag(Q, I) − M diag(Q, I) Mᵀ, M = [A B; C D], divided by its allowance for
-    rounding.
+    """Least eigenvalue of diag(Q, I) − M diag(Q, I) Mᵀ, M = [A B; C D], over its allowance for rounding.
 
     It is -inf where Q is not positive definite. The states are first scaled to a unit diagonal of Q.
     """

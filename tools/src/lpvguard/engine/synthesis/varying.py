@@ -158,8 +158,10 @@ class OverSpeed:
         return S
 
     def derivative(self, speeds: np.ndarray) -> np.ndarray:
-        """Derivatives dS/dv (K, n + p, n + m) at ``speeds`` (K,), at a node those of the interval above
-        it."""
+        """Derivatives dS/dv (K, n + p, n + m) at ``speeds`` (K,).
+
+        At a node they are those of the interval above it.
+        """
         k, _ = self._place(speeds)
         width = np.diff(self.nodes)[k]
         dS = (self.at_nodes[k + 1] - self.at_nodes[k]) / width[:, None, None]

@@ -189,8 +189,7 @@ class _Search:
         return Interval(min(closed, remaining, best.cost), best.cost, best.z, serial + 1)
 
     def _bound(self, node: BranchNode) -> _NodeBounds:
-        """Bound a node by its boxes, then by the tangent, and then, if it is still open, by the
-        relaxation."""
+        """Bound a node by its boxes, then by the tangent, then (if still open) by the relaxation."""
         best = self.best
         lower = max(node.lower, self.relaxation.box_bound(node, set(range(self.problem.params))))
         tangent = self.relaxation.tangent(node, best.cost)
