@@ -377,7 +377,7 @@ def test_another_unit_of_time_leaves_the_loop_of_K_is_as_it_was(common, factor):
 
 def test_a_controller_for_no_uncertainty_is_refused_because_the_vehicle_errs(common):
     """K_inf presupposes the nominal model itself, which the drives that judge refute."""
-    with pytest.raises(InputError, match=r"W_delta is 0 beside \|delta_c\| - k se = .* do not refute"):
+    with pytest.raises(InputError, match=r"W_delta = 0 is 0 times \|delta_c\| - k se = .* do not refute"):
         stage.design(with_settings(common, structure="K_inf"))
 
 

@@ -197,7 +197,7 @@ def test_samples_that_do_not_tell_the_loop_are_refused():
     with pytest.raises(SynthesisError, match="not finite"):
         of_samples(omega, np.full(12, np.nan))
     for bad in (omega[::-1], omega[:5], omega - 0.1):
-        with pytest.raises(SynthesisError, match="rising from above 0"):
+        with pytest.raises(SynthesisError, match="rising frequencies above 0"):
             of_samples(bad, np.ones(len(bad)))
 
 

@@ -153,7 +153,7 @@ def test_each_group_states_its_own_hours():
         dry.claim().endswith("per judged hour, from 0.19 h")
         and f"; {0.2 * 19 / 0.19:.3g} and " in dry.claim()
     )
-    assert f"of {2.2 + 0.19:.3g} h" in calibration.claim()
+    assert f"from {2.2 + 0.19:.3g} h" in calibration.claim()
     assert dry.groups == {"dry": calibration.groups["dry"]} and dry.group == "dry"
     assert dry.carried == dry.threshold == calibration.groups["dry"].threshold
     assert calibration.carried == max(calibration.threshold, dry.threshold, wet.threshold)
@@ -290,7 +290,7 @@ def test_without_a_drive_that_calibrates_there_is_no_threshold(tmp_path):
         InputError, match=r"experiments.csv: column split: no drive calibrates: every drive.*at least 9 rec"
     ):
         require_calibration(drives, [], {"a": "too short"}, True)
-    with pytest.raises(InputError, match=r"calibrate \(3\): .*no test judges a drive \(b: too short\)"):
+    with pytest.raises(InputError, match=r"calibrate \(3\): .*no test judges one \(b: too short\)"):
         require_calibration(
             drives, ["a", "b", "c"], {"x": "silent", "b": "too short", "c": "no speed"}, False
         )

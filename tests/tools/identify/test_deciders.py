@@ -138,7 +138,7 @@ def test_a_drive_whose_score_lies_outside_the_others_is_named_and_still_calibrat
         "equal scores do not make one outlying"
     )
     assert sentences(dict.fromkeys(scores, 0.7) | {"slide": 0.8})[0].startswith(
-        "frame test: slide lies outside"
+        "frame test: the score of slide, 0.8, is an outlier"
     )
     assert sentences(scores, tuple(range(len(stored.bounds["omega_rad_s"])))) == [energy], (
         "silent bins say none"

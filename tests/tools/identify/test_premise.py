@@ -50,7 +50,7 @@ def asking(stored, share: float):
 def test_the_drives_that_judge_do_not_refute_what_was_identified(stored):
     judged = require_premise(stored)
     assert not judged.refuted and judged.folds == len(stored.manifest["drives"]["bounds"])
-    assert "W_delta" in judged.sentence() and "left out and covered" in judged.sentence()
+    assert "W_delta" in judged.sentence() and "that the bound of the other folds covers" in judged.sentence()
     document = json.loads(artefacts.to_json(judged.to_dict()))
     assert (
         document["doubting"]["ratio"] == judged.doubting.ratio and document["sentence"] == judged.sentence()
@@ -99,7 +99,7 @@ def test_the_console_warns_where_the_evidence_leaves_room(stored, monkeypatch, c
     said = []
     monkeypatch.setattr(tables.console, "print", lambda text, **_: said.append(text))
     tables.print_premise(premise(asking(stored, 1.0)[0]))
-    assert len(said) == 2 and said[1].startswith("warning: W_delta is ")
+    assert len(said) == 2 and said[1].startswith("warning: W_delta = ")
     said.clear()
     tables.print_premise(premise(asking(stored, 0.5)[0]))
     assert len(said) == 1 and said[0].startswith("premise |delta| <= W_delta")

@@ -201,8 +201,10 @@ class Deciders:
         self.first, self.drive = np.zeros(shape, int), np.full(shape, "", dtype=object)
 
     def watched(self, names: Iterable[str], parts: Iterable[Part]) -> Iterator[Part]:
-        """Record the deciding frames of ``parts``, one for each drive of ``names``, and yield the parts
-        without their data."""
+        """Record the deciding frames of ``parts``, one for each drive of ``names``.
+
+        Yields the parts without the data for this class.
+        """
         for name, part in zip(names, parts, strict=False):
             value, first, rest = (part.pop(f"{self.key}{suffix}") for suffix in ("", FIRST, REST))
             beaten = ~(value <= self.largest) & ~np.isnan(value)
@@ -214,8 +216,10 @@ class Deciders:
 
     @property
     def without(self) -> np.ndarray:
-        """Bound (K, m) without the deciding frame, from its own drive and all other drives; 0 without other
-        frames."""
+        """Bound (K, m) without the deciding frame, 0 without other frames.
+
+        It comes from the other frames of its drive and from all other drives.
+        """
         return np.nan_to_num(np.fmax(self.rest, self.others))
 
 
@@ -224,10 +228,9 @@ FIRST, REST = "_first", "_rest"
 
 
 def _decided(key: str, values: np.ndarray, s: FrameSet, estimator: Estimator, out: Part) -> None:
-    """Store the largest of ``values`` (F, m) >= 0 of the frames ``s`` in the part ``out``, with the data for
-    Deciders.
+    """Store the largest of ``values`` (F, m) >= 0 of the frames ``s`` in the part ``out``.
 
-    The starts of the frames must rise.
+    The part also gets the data for Deciders. The starts of the frames must rise.
     """
     if not len(values):
         return
@@ -362,8 +365,10 @@ def _needed_each(s: FrameSet, estimator: Estimator, gamma_w: np.ndarray) -> tupl
 
 
 def front_grid(B1: np.ndarray, B2: np.ndarray, estimator: Estimator, structure: str) -> np.ndarray:
-    """Values gamma_w (K, FRONT_POINTS) of the Pareto front, NaN at DC, in class S0 and in bins without
-    frames."""
+    """Values gamma_w (K, FRONT_POINTS) of the Pareto front.
+
+    They are NaN at DC, in class S0 and in bins without frames.
+    """
     t = np.linspace(0.0, 1.0, FRONT_POINTS) ** 2
     grid = B1[:, None] + (B2 - B1)[:, None] * t
     grid[:, -1] = B2
@@ -406,8 +411,7 @@ def _front_within(
     open_blocks: np.ndarray,
     firsts: np.ndarray,
 ) -> np.ndarray:
-    """Front (P,) at ``gamma_w`` (P,) from the frames of the open blocks (P, blocks), 0 without open
-    blocks."""
+    """Front (P,) at ``gamma_w`` (P,) from the frames of the open blocks (P, blocks), else 0."""
     point, block = np.nonzero(open_blocks)
     inside = (firsts[block, None] + np.arange(FRONT_BLOCK)).ravel()
     point = np.repeat(point, FRONT_BLOCK)[inside < len(E)]
@@ -509,10 +513,10 @@ def reduce_remainder(
     structure: str,
     joint: bool = False,
 ) -> tuple[Part, list[np.ndarray]]:
-    """Reduce the frames of a drive to the largest |w_j| (K, n_y) of their `remainder` for W_delta (K,
-    n_delta), step 6.
+    """Reduce the frames of a drive to the largest |w_j| (K, n_y) of step 6.
 
-    With ``joint`` the second result holds the `undominated` rows of |w_j| of every bin, for `covering`.
+    w is their `remainder` for W_delta (K, n_delta). With ``joint`` the second result holds the `undominated`
+    rows of |w_j| of every bin, for `covering`.
     """
     out, fronts = _undecided("B_w", (estimator.n_bins, n_y)), [np.zeros((0, n_y))] * estimator.n_bins
     for s in sets:

@@ -164,8 +164,7 @@ class RateTarget:
         return replace(targets[0], per_1000_h=sum(t.per_1000_h for t in targets), maxima=maxima)
 
     def threshold(self, scores: Mapping[str, float], floor: float, recordings: Recordings) -> GroupThreshold:
-        """Threshold of the rate: conformal where the recordings suffice, otherwise from the tail of their
-        scores."""
+        """Threshold of the rate: conformal where the recordings suffice, else from the tail of the scores."""
         largest, rate = recordings.largest(scores), self.per_1000_h / 1000
         drives_of = {r: [d for d in scores if recordings.named(d) == r] for r in largest}
         hours = {r: sum(self.judged_s[d] for d in drives) / 3600 for r, drives in drives_of.items()}
@@ -257,8 +256,10 @@ class Calibration:
 
     @property
     def carried(self) -> float:
-        """Threshold in the core: that of ``group``, or the largest of the pooled one and those of all
-        groups."""
+        """Threshold in the core.
+
+        It is that of ``group``, or the largest of the pooled one and those of all groups.
+        """
         own = [] if self.group else [g.threshold for g in self.groups.values() if g.threshold is not None]
         return max([self.threshold, *own])
 

@@ -228,8 +228,10 @@ class ChangeTest:
         }
 
     def restored(self, data: dict, where: str) -> ChangeTest:
-        """The test with the stored sizes and calibration of ``data``. Raises InputError for another
-        memory."""
+        """The test with the stored sizes and calibration of ``data``.
+
+        Raises InputError for another memory.
+        """
         if data["memory_s"] != self.memory_s:
             raise InputError(
                 where, "memory_s", f"{data['memory_s']:g}", f"{self.memory_s:g}, the memory of project.json"
@@ -275,8 +277,10 @@ def calibrated_change(
 
 
 def regressor_products(e: np.ndarray, yhat: np.ndarray, v: np.ndarray, estimator: Estimator) -> np.ndarray:
-    """Sums (n_y, 3, 3) of the products of the regressors over a drive, with e and yhat (N, n_y) and v
-    (N,)."""
+    """Sums (n_y, 3, 3) of the products of the regressors over a drive.
+
+    The drive has e and yhat (N, n_y) and v (N,).
+    """
     total = np.zeros((e.shape[1], 3, 3))
     for blocks in Blocks.stretches(e, yhat, estimator.settled(v)):
         total += np.einsum("mji,mjk->jik", blocks.phi, blocks.phi)

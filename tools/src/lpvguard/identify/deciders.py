@@ -23,8 +23,10 @@ The z-score uses the logarithms of the scores, their median and their median abs
 
 
 class Decision(NamedTuple):
-    """``text`` names what decides a number. ``alone`` is True if one frame does, which calls for a
-    warning."""
+    """``text`` names what decides a number.
+
+    ``alone`` is True if one frame does, which calls for a warning.
+    """
 
     text: str
     alone: bool

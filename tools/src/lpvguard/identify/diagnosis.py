@@ -106,8 +106,10 @@ class Windows:
         return (correlated * self.residue)[..., None, None] * np.linalg.inv(self._regular)
 
     def pasts(self) -> Windows:
-        """Past of each window of a drive from the GAP-th on: the sum of the windows up to GAP earlier,
-        without overlap."""
+        """Past of each window of a drive from the GAP-th on.
+
+        It is the sum of the windows up to GAP earlier, without overlap.
+        """
         sums = {name: getattr(self, name).copy() for name in ("n", "gram", "along", "square")}
         for value in sums.values():
             for k in range(2, len(value)):
@@ -324,8 +326,7 @@ class DiagnosisScales:
 
     @property
     def least(self) -> np.ndarray:
-        """Least change of gain, delay [s] and bias (n_y, 3) that the diagnosis can distinguish from no
-        change.
+        """Least visible change of gain, delay [s] and bias (n_y, 3).
 
         Longer records do not reduce it, because healthy vehicles differ by as much. For a gain g it is the
         change of (g - 1)/g, because g scales the spread.

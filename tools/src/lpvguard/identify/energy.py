@@ -40,8 +40,9 @@ STATED_RTOL = 1e-8
 
 
 def fan(n_y: int) -> np.ndarray:
-    """Directions a (D, n_y) up to their sign, in units of sigma, with sum |a_j| = 1. They include single
-    outputs.
+    """Directions a (D, n_y) up to their sign, in units of sigma, with sum |a_j| = 1.
+
+    They include single outputs.
 
     For two outputs their order is bit-reversed. Successive judgements then use distant directions, because
     neighbours are nearly equal.
@@ -85,8 +86,7 @@ def _padded(filters: list[np.ndarray]) -> np.ndarray:
 
 
 def in_delta(sections: np.ndarray) -> np.ndarray:
-    """Coefficients b0, b1, b2, a1, a2 (..., 5) in the operator z - 1 of the core, from sections (..., 6) in
-    z."""
+    """Coefficients b0, b1, b2, a1, a2 (..., 5) in the operator z - 1, from sections (..., 6) in z."""
     b, a = sections[..., :3], sections[..., 3:]
     return np.stack(
         [b[..., 0], 2 * b[..., 0] + b[..., 1], b.sum(-1), 2 * a[..., 0] + a[..., 1], a.sum(-1)], axis=-1
@@ -96,10 +96,10 @@ def in_delta(sections: np.ndarray) -> np.ndarray:
 def _raised(
     project: Project, W_delta: Sequence[Weight], warped: np.ndarray, bounds: np.ndarray
 ) -> Iterator[tuple[float, Weight, dict]]:
-    """For each weight: the gain >= 1 that puts it above its bound, the weight with this gain, and its
-    certificate.
+    """Raise each weight above its bound by a gain >= 1.
 
-    The bounds are the rows of ``bounds`` (n_delta, K) at ``warped`` (K,) [rad/s].
+    Yields the gain, the weight with this gain, and its certificate. The bounds are the rows of ``bounds``
+    (n_delta, K) at ``warped`` (K,) [rad/s].
     """
     if not len(W_delta) == len(bounds) == project.n_delta:
         raise InputError(
@@ -287,8 +287,7 @@ class EnergyTest:
             yield first, band, *self._matrices(band, *sides)
 
     def _matrices(self, band: int, left: np.ndarray, right: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Left and right matrices of products (n, n_y, n_y) of a stretch in one band, from the result of
-        `_sides`."""
+        """Left and right matrices of products (n, n_y, n_y) of a stretch in one band, from `_sides`."""
         of_left = self._sums(band, left[:, None] * left)
         of_right = self._sums(0, right[:, None] * right)[..., self.settle :]
         return np.moveaxis(of_left, -1, 0), np.moveaxis(of_right, -1, 0)

@@ -85,8 +85,10 @@ class ErrorDomain:
 
     @cached_property
     def taps(self) -> np.ndarray:
-        """Weights (L, M) of all lags, from lags[0] to the end of the hat function of the last knot, for each
-        knot."""
+        """Weights (L, M) of all lags for each knot.
+
+        The lags go from lags[0] to the end of the hat function of the last knot.
+        """
         end = 2 * self.lags[-1] - self.lags[-2]
         every = np.arange(self.lags[0], end)
         knots = np.r_[self.lags, end]
@@ -108,8 +110,9 @@ class ErrorDomain:
         return self.lowest_knot * AMPLITUDE_RATIO ** np.arange(AMPLITUDE_KNOTS)
 
     def relative_speed(self, v: np.ndarray) -> np.ndarray:
-        """Relative speed s of speeds v [m/s], in the shape of v. It is -1 and 1 at the ends of the speed
-        range.
+        """Relative speed s of speeds v [m/s], in the shape of v.
+
+        It is -1 and 1 at the ends of the speed range.
 
         s is linear in log(v + SLOW * highest speed), because dynamics change with 1/v, and most at low speed.
         """

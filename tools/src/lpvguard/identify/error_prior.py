@@ -89,8 +89,10 @@ class ErrorPrior:
 
     @cached_property
     def _ignorance(self) -> np.ndarray:
-        """Root (L, m) of the covariance of the uninformed error, of second differences of white values at
-        unit lags."""
+        """Root (L, m) of the covariance of the uninformed error.
+
+        It is that of second differences of white values at unit lags.
+        """
         count = UNIT_LAGS[1] - UNIT_LAGS[0] - 1
         differences = np.zeros((len(self.domain.lags), count))
         for k in range(count):
@@ -133,8 +135,7 @@ class ErrorPrior:
         return np.hstack([out, ignorance])
 
     def _lag_root(self, x: np.ndarray) -> np.ndarray:
-        """Root (L, L + 1) of the covariance over lags, of a gain and of dynamics that vanish at zero
-        frequency."""
+        """Root (L, L + 1) of the covariance over lags: a gain, and dynamics that vanish at DC."""
         lags, rate = self.domain.lags, self.size(x, "decay") * self._centre
         far = np.maximum(np.abs(lags)[:, None], np.abs(lags))
         same_side = (lags < 0)[:, None] == (lags < 0)
@@ -150,8 +151,7 @@ class ErrorPrior:
         return np.column_stack([gain, root])
 
     def deviation(self, x: np.ndarray, group: bool = False) -> np.ndarray:
-        """Variances (DIRECTIONS,) of the deviation of a drive or of a ``group``, from the logarithms x
-        (H,)."""
+        """Variances (DIRECTIONS,) of the deviation of a drive or a ``group``, from the logarithms x (H,)."""
         prefix = "group_" if group else ""
         return np.array([self.size(x, f"{prefix}{n}") ** 2 for n in ("gain", "delay", "second")])
 

@@ -143,10 +143,10 @@ def noise_filter(residue: np.ndarray, counted: np.ndarray) -> tuple[np.ndarray, 
 def projected_input(
     domain: ErrorDomain, yhat: np.ndarray, instrument: np.ndarray, s: np.ndarray
 ) -> np.ndarray:
-    """Part (N,) of the nominal output that an instrument predicts, the first stage of two-stage least
-    squares.
+    """Part (N,) of the nominal output that an instrument predicts.
 
-    yhat, instrument and relative speed s are decimated signals (N,).
+    This is the first stage of two-stage least squares. yhat, instrument and relative speed s are decimated
+    signals (N,).
     """
     lagged = lagged_signals(domain, instrument - instrument.mean())
     X = np.column_stack([np.ones_like(s), s, lagged, s[:, None] * lagged])
@@ -218,11 +218,10 @@ class _Counted:
     def whitened(
         self, output: int, by_speed: np.ndarray, signals: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
-        """Whitened error (n,) and signals (n, m) at the counted samples, and a basis (n, 0 to 2) of the
-        offsets.
+        """Whitened error (n,) and signals (n, m) at the counted samples, and a basis of the offsets.
 
-        Their noise has unit variance. The residue is that of a fit of ``by_speed`` (N, COMMON) to this drive.
-        The result is None where the nominal output or the residue is zero.
+        The basis is (n, 0 to 2). Their noise has unit variance. The residue is that of a fit of ``by_speed``
+        (N, COMMON) to this drive. The result is None where the nominal output or the residue is zero.
         """
         ones = np.column_stack([np.ones_like(self.s), self.s])
         X, e, counted = np.column_stack([by_speed, ones]), self.error[output], self.counted

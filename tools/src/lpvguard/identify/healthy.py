@@ -95,8 +95,10 @@ def healthy_set(
 def _best(
     each: np.ndarray, Z: np.ndarray, floor: np.ndarray, typical: float, largest: float, within: np.ndarray
 ) -> tuple[float, np.ndarray, float]:
-    """W_delta, B_w (m,) and factor of one bin, from the needs ``each`` (D, P, m) of the drives and |Z| (F,
-    m)."""
+    """W_delta, B_w (m,) and factor of one bin.
+
+    ``each`` (D, P, m) are the needs of the drives, and Z (F, m) is |Z|.
+    """
     needed = each[each.any(axis=(1, 2))]
     most = needed.max(axis=0, initial=0.0)
     B_of = np.maximum(most, floor)

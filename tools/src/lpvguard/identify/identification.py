@@ -401,8 +401,10 @@ class StoredIdentification:
         )
 
     def of_group(self, group: str) -> StoredIdentification:
-        """The identification with the thresholds of a group. Raises InputError where no drive belongs to
-        it."""
+        """The identification with the thresholds of a group.
+
+        Raises InputError where no drive belongs to it.
+        """
         known = sorted(self.calibration.groups)
         if group not in known:
             raise InputError(

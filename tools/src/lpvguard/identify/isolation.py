@@ -61,7 +61,9 @@ ROUNDS = 60
 
 @dataclass(frozen=True)
 class PartColumn:
-    """Change of the errors by a unit size of one change of a part.
+    """One possible change of a part, for example the gain of a sensor.
+
+    Its column holds the effect of a unit size on the errors. Its column holds the effect on the errors.
 
     Attributes
     ----------
@@ -168,8 +170,7 @@ class Changes:
         return drive.y - yhat, np.stack(responses, axis=-1)
 
     def blocks(self, drive: Drive, from_s: float = 0.0, to_s: float = np.inf) -> Iterator[np.ndarray]:
-        """Yield the means (B, n_y, 1 + m) of errors and changes over the blocks of each stretch of settled
-        driving.
+        """Yield the means (B, n_y, 1 + m) of errors and changes over blocks, one array a settled stretch.
 
         Blocks follow each other from the first sample of the drive, and from the first sample after a gap, as
         in the core. A block counts if it lies between ``from_s`` and ``to_s`` after the first sample. It must
@@ -217,9 +218,9 @@ class WindowSums:
 def residual_structure(project: Project) -> dict[str, list[str]]:
     """List the residuals that each part changes.
 
-    Residuals are errors of outputs, and their differences for redundant outputs. Outputs are redundant if
-    they have the same row of C. The sensor of an output changes every residual with this output. Inputs and
-    vehicle change no difference. The speed changes the difference of outputs with unequal powers of the
+    Residuals are errors of outputs, and differences of the errors of redundant outputs. Outputs are redundant
+    if they have the same row of C. The sensor of an output changes every residual with this output. Inputs
+    and vehicle change no difference. The speed changes the difference of outputs with unequal powers of the
     speed.
 
     Parameters
@@ -540,8 +541,10 @@ class Isolation:
         return total
 
     def _explained(self, w: WindowSums, spread: np.ndarray) -> tuple[float, np.ndarray]:
-        """Sum of squares of a window that sizes with a ``spread`` (m,) explain, and the matrix (m, m) of its
-        equation."""
+        """Sum of squares of a window that sizes with a ``spread`` (m,) explain.
+
+        Also returns the matrix (m, m) of its equation.
+        """
         b = spread * (w.g - w.G @ self.mean)
         inner = np.eye(len(b)) + (spread[:, None] * w.G) * spread
         return float(b @ np.linalg.solve(inner, b)), inner
@@ -631,12 +634,11 @@ class Isolation:
         return what, value, value - half, value + half, unit
 
     def isolable_rows(self, project: Project) -> Iterator[dict[str, str]]:
-        """Rows of the table of isolability: a change, then its least size that is distinguished from each
-        part.
+        """Rows of the table of isolability.
 
-        A star marks parts that differ in structure. A dash means that no size can be distinguished. The last
-        two columns are the size of a usual fault, and the driving time that distinguishes it from every other
-        part.
+        A row has a change, then its least size that is distinguished from each part. A star marks parts that
+        differ in structure. A dash means that no size can be distinguished. The last two columns are the size
+        of a usual fault, and the driving time that distinguishes it from every other part.
         """
         structure, after = residual_structure(project), self.told_after()
         column_of = {c.what: c for c in self.columns}
@@ -687,8 +689,10 @@ class Isolation:
         return float(np.sqrt(NEEDED / left)) if left > 1e-9 * G[k, k] else float("inf")
 
     def _seconds(self, k: int, other: str) -> float:
-        """Time [s] of usual driving that distinguishes a usual fault of column ``k`` from a part, within 5
-        %."""
+        """Time [s] of usual driving that distinguishes a usual fault of column ``k`` from a part.
+
+        It is accurate to 5 %.
+        """
         size, short, long = self.columns[k].fault, 1.0, LONGEST_S
         if self._least(k, other, long) > size:
             return float("inf")

@@ -58,8 +58,7 @@ class LimitSums:
         return cls(*(np.sum(x, axis=0) for x in zip(*(vars(p).values() for p in parts), strict=True)))
 
     def spread(self) -> tuple[np.ndarray, np.ndarray]:
-        """Disturbance S [output units squared] and variance of the gains of drives (C, K, n_y), NaN if
-        unknown."""
+        """Disturbance S [output units squared] and variance of the gains (C, K, n_y), NaN if unknown."""
         with np.errstate(divide="ignore", invalid="ignore"):
             S = self.residue / self.freedom
             Q = 2 / S * (self.along_squared - self.along**2 / self.power)
@@ -77,10 +76,10 @@ class LimitSums:
         return float(norm.isf(-np.expm1(np.log1p(-alpha) / looks)))
 
     def gain_error(self, quantile: float, cell: np.ndarray, k: np.ndarray, size: np.ndarray) -> np.ndarray:
-        """Smallest visible gain error (F,) in pools with sqrt(P) = ``size`` (F, n_y), by speed cell and bin
-        ``k`` (F,).
+        """Smallest visible gain error (F,) in pools, by speed cell and bin ``k`` (F,).
 
-        It is NaN where fewer than two drives inform about the disturbance.
+        sqrt(P) of the pools is ``size`` (F, n_y). It is NaN where fewer than two drives inform about the
+        disturbance.
         """
         S, between = (x[cell, k] for x in self.spread())
         with np.errstate(divide="ignore"):

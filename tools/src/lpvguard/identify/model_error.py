@@ -93,8 +93,10 @@ class ErrorGrid:
 
     @classmethod
     def from_project(cls, project: Project, estimator: Estimator) -> ErrorGrid:
-        """Grid of the bins, of points between distant bins, and of points with the ratio STEP from there to
-        HIGHEST."""
+        """Grid of the bins, with further points between and above them.
+
+        Above the last bin the points have the ratio STEP, up to HIGHEST.
+        """
         bins = estimator.omega[estimator.cycles > 0]
         kept = [bins[0]]
         for omega in bins[1:]:  # lines of the plain DFT are denser than needed
@@ -228,10 +230,10 @@ def drive_sums(
     e: np.ndarray,
     yhat: np.ndarray,
 ) -> Sums:
-    """Sums of one drive, over frames in which the rms of the first input exceeds ``excited_std`` [input
-    unit].
+    """Sums of one drive over its excited frames.
 
-    e and yhat (N, n_y) are in output units.
+    In these the rms of the first input exceeds ``excited_std`` [input unit]. e and yhat (N, n_y) are in
+    output units.
     """
     settled = estimator.settled(drive.v)
     if settled.sum() < 2 * AR_ORDER:
@@ -380,8 +382,10 @@ class ErrorEstimate:
 
     @property
     def k(self) -> float:
-        """Factor for the simultaneous level, sqrt(ln(N/LEVEL)) for N complex estimates (T31). A pool counts
-        once."""
+        """Factor for the simultaneous level, sqrt(ln(N/LEVEL)) for N complex estimates (T31).
+
+        A pool counts once.
+        """
         estimates = self.se.reshape(-1, np.prod(self.se.shape[2:], dtype=int))
         N = sum(len(np.unique(row[np.isfinite(row)])) for row in estimates)
         return float(np.sqrt(np.log(max(1, N) / LEVEL)))
@@ -398,8 +402,10 @@ class ErrorEstimate:
 
     @property
     def tells(self) -> np.ndarray:
-        """Mask (G, n_y) of informative frequencies: k se < 1 in all cells, so they refute a vehicle without
-        response."""
+        """Mask (G, n_y) of informative frequencies.
+
+        There k se < 1 in all cells, so they refute a vehicle without response.
+        """
         return np.all(np.where(np.isfinite(self.se), self.k * self.se, np.inf) < 1, axis=(2, 3))
 
     def to_dict(self) -> dict:
@@ -504,10 +510,10 @@ class _Lines:
 
 
 def _quantile(n: np.ndarray, level: float) -> np.ndarray:
-    """Number of standard errors that |delta - delta_c| exceeds with probability ``level``, for n independent
-    frames.
+    """Number of standard errors that |delta - delta_c| exceeds with probability ``level``.
 
-    |delta - delta_c|^2 / se^2 has the distribution F(2, 2 nu) with nu = n - 2.
+    n is the number of independent frames. |delta - delta_c|^2 / se^2 has the distribution F(2, 2 nu) with nu
+    = n - 2.
     """
     freedom = np.maximum(n - 2, 1.0)
     return np.sqrt(freedom * np.expm1(-np.log(level) / freedom))
@@ -886,8 +892,10 @@ class ModelError:
         return float(np.mean([ratio >= 1 for ratio in self.left_out])) if self.left_out else float("nan")
 
     def to_dict(self, project: Project) -> dict:
-        """Convert to JSON types for `from_dict`, with the assumption above the informative frequencies and
-        its reason."""
+        """Convert to JSON types, for `from_dict`.
+
+        The result also has the assumption above the informative frequencies, and its reason.
+        """
         last = last_telling(self.setting)
         reasons = {b.output: b.reason for b in project.model_error.beyond}
         return {

@@ -244,11 +244,11 @@ class OverDrives:
         W_delta: list[FittedWeight],
         setting: list[Experiment],
     ) -> Bounds:
-        """Bounds of step 6 with ``gamma_w`` (K,): B_w bounds the remainder of all frames, and is at least its
-        floor.
+        """Bounds of step 6 with ``gamma_w`` (K,).
 
-        With the disturbance set ``covering`` B_w is scaled until sum_j |w_j / B_w,j|^2 <= 1 on every frame.
-        With ``paper`` it only ensures |w_j| <= B_w,j.
+        B_w bounds the remainder of all frames, and is at least its floor. With the disturbance set
+        ``covering`` B_w is scaled until sum_j |w_j / B_w,j|^2 <= 1 on every frame. With ``paper`` it only
+        ensures |w_j| <= B_w,j.
         """
         project, estimator = self.reader.project, self.reader.estimator
         size = np.column_stack([w.magnitude(estimator.omega) for w in W_delta])
@@ -415,13 +415,13 @@ class OverDrives:
         return replace(weights, inflation=worst if worst == 1.0 else worst * (1 + 1e-4)), far
 
     def _silent(self, inflated: Weights, frames: np.ndarray) -> tuple[int, ...]:
-        """Bins without evidence above 1 in any bound-setting drive, after `_inflated` has judged these
-        drives.
+        """Bins without evidence above 1 in any bound-setting drive.
 
-        In such a bin the test would not refute a vehicle that does not respond. nu is 0 at zero frequency, so
-        this bin is silent only where all others are. Bins with fewer than FEWEST_FRAMES successive ``frames``
-        are silent too, because a further frame exceeds such a bound too often. With a healthy set this holds
-        only for bins with frames of at most one drive.
+        `_inflated` must have judged these drives before. In such a bin the test would not refute a vehicle
+        that does not respond. nu is 0 at zero frequency, so this bin is silent only where all others are.
+        Bins with fewer than FEWEST_FRAMES successive ``frames`` are silent too, because a further frame
+        exceeds such a bound too often. With a healthy set this holds only for bins with frames of at most one
+        drive.
         """
         estimator = self.reader.estimator
         self.origins.evidence = self.met.evidence(estimator.n_bins) / inflated.inflation

@@ -149,8 +149,10 @@ def _sent(key: uuid.UUID, project: Project, model: NominalModel) -> DriveReader:
 
 
 def _spectra_rows(s: FrameSet, name: str, way: np.ndarray, estimator: Estimator) -> Rows:
-    """Rows of the frames of ``s`` that the core also has. ``way`` (N + 1,) are cumulative sums of the
-    speed."""
+    """Rows of a sample, from the frames of ``s`` whose starts the core uses.
+
+    ``way`` (N + 1,) sums the speed.
+    """
     on_grid = (
         s.starts % estimator.hop[s.bin] == 0 if estimator.window == "hann" else np.ones(len(s.starts), bool)
     )
@@ -181,8 +183,10 @@ def thinned(rows: Rows) -> Rows:
 
 
 def spectra_file(rows: Rows, bound_drives: list[str]) -> bytes:
-    """Content of spectra.npz: drive (index into names), bin, start, speed (mean over the frame, m/s), E and
-    Z."""
+    """Content of spectra.npz.
+
+    It has drive (index into names), bin, start, speed (mean over the frame, m/s), E and Z.
+    """
     index = {name: i for i, name in enumerate(bound_drives)}
     stream = io.BytesIO()
     np.savez(
@@ -253,8 +257,10 @@ def _error_pass(
 def uncertainty_pass(
     reader: DriveReader, gamma_w: np.ndarray, grid: np.ndarray, experiment: Experiment
 ) -> Part:
-    """Reduce a drive to its nu of step 5 at gamma_w (K,), and to its front over ``grid`` (K,
-    FRONT_POINTS)."""
+    """Reduce a drive to its nu of step 5 at gamma_w (K,), and to its front over ``grid``.
+
+    ``grid`` is (K, FRONT_POINTS).
+    """
     return reduce_uncertainty(
         reader.frames(experiment),
         reader.estimator,
@@ -289,8 +295,7 @@ def pool_remainder_pass(
 def remainder_pass(
     reader: DriveReader, W_delta: np.ndarray, joint: bool, experiment: Experiment
 ) -> tuple[Part, list[np.ndarray]]:
-    """Reduce a drive to the |w_j| that no |delta| <= W_delta (K, n_delta) explains, see
-    `reduce_remainder`."""
+    """Reduce a drive to the |w_j| that no |delta| <= W_delta (K, n_delta) explains (`reduce_remainder`)."""
     return reduce_remainder(
         reader.frames(experiment),
         reader.estimator,
@@ -330,10 +335,10 @@ def judge(
     cuts: int,
     experiment: Experiment,
 ) -> Judged:
-    """Judge a drive by the compiled core: as a whole, and for ``worst`` also from ``cuts`` random first
-    samples.
+    """Judge a drive by the compiled core.
 
-    Without a core (plain DFT) the exact margin for W_delta (K, n_delta) and B_w (K, n_y) judges the drive.
+    It is judged as a whole, and for ``worst`` also from ``cuts`` random first samples. Without a core (plain
+    DFT) the exact margin for W_delta (K, n_delta) and B_w (K, n_y) judges the drive.
     """
     speed_range, name = reader.estimator.speed_range, experiment.name
     drive, _, _, frames = reader.seen(experiment)

@@ -317,8 +317,7 @@ class Pools:
         return replace(self, unit=threshold / own)
 
     def ratios(self, without: str | None = None) -> dict[str, float]:
-        """Largest ratio of a remainder to the bound of all other recordings, for every recording except
-        ``without``."""
+        """Largest ratio of a remainder to the bound of all others, for every recording except ``without``."""
         bounds = self._bounds_of_others(without)
         return {n: float((self.shown[n] / bound).max()) for n, bound in bounds.items()}
 
@@ -338,8 +337,10 @@ class Pools:
     def calibrated(
         self, drives: Iterable[str], alpha: float, recordings: Recordings, target: RateTarget | None = None
     ) -> Pools:
-        """The pools with the threshold from the scores of calibration drives. ``target`` does not need
-        maxima."""
+        """The pools with the threshold from the scores of calibration drives.
+
+        ``target`` does not need maxima.
+        """
         ratio = self.ratios()
         scores = {d: ratio[recordings.named(d)] for d in drives}
         if target is not None:

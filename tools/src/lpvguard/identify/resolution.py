@@ -46,11 +46,11 @@ def grid_step(y: np.ndarray) -> float:
 
 
 def noise_deviation(y: np.ndarray, settled: np.ndarray) -> float:
-    """Standard deviation of white noise in the samples y (N,), from blocks whose samples are all ``settled``
-    (N,).
+    """Standard deviation of white noise in the samples y (N,).
 
-    (y_0 - y_1 - y_2 + y_3)/2 of a block has the variance of the noise and does not depend on mean and slope.
-    The median ignores rare jumps. The result is NaN without a block.
+    Only blocks whose samples are all ``settled`` (N,) count. (y_0 - y_1 - y_2 + y_3)/2 of a block has the
+    variance of the noise and does not depend on mean and slope. The median ignores rare jumps. The result is
+    NaN without a block.
     """
     blocks = len(y) // BLOCK
     whole = settled[: BLOCK * blocks].reshape(blocks, BLOCK).all(axis=1)
@@ -74,10 +74,10 @@ def largest_of_rounding(kernel: np.ndarray) -> float:
 
 @dataclass(frozen=True)
 class Resolution:
-    """Resolution of every output: the ``step`` (n_y,) of its grid, and its ``noise`` (n_y,) without that of
-    rounding.
+    """Resolution of every output.
 
-    Both are in output units, and 0 where none is visible.
+    ``step`` (n_y,) is that of its grid, and ``noise`` (n_y,) its noise without that of rounding. Both are in
+    output units, and 0 where none is visible.
     """
 
     step: np.ndarray
@@ -96,8 +96,10 @@ class Resolution:
         return cls(step, np.sqrt(np.maximum(noise**2 - step**2 / 12, 0.0)))
 
     def floor(self, estimator: Estimator) -> np.ndarray:
-        """Least disturbance bound (K, n_y): the effect of rounding plus the noise that a share RARE of frames
-        exceeds."""
+        """Least disturbance bound (K, n_y).
+
+        It is the effect of rounding plus the noise that a share RARE of frames exceeds.
+        """
         kernels = [estimator.kernel(k) for k in range(estimator.n_bins)]
         rounding = np.array([largest_of_rounding(kernel) for kernel in kernels])
         # A frame of noise is a complex normal number, or a real one at zero frequency.

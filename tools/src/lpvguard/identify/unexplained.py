@@ -155,7 +155,8 @@ def cost(
 
     Returns
     -------
-    Cost, or None if the other drives are not enough for an identification, or without a core
+    Cost, or None
+        None without a core, or if the other drives are not enough for an identification.
     """
     names = tuple(u.name for u in named)
     settings = result.project.evaluation

@@ -161,8 +161,7 @@ def visibility(
 
 
 def _chosen(rows: Rows, K: int, c: int, percentile: float) -> list[int | None]:
-    """Index of the row at the percentile of excitation, for each of K bins of cell ``c``; None without
-    rows."""
+    """Index of the row at the percentile of excitation, for each of K bins of cell ``c``, or None."""
     return [
         _at_percentile(rows["dead"], np.flatnonzero(rows["group"] == c * K + k), percentile) for k in range(K)
     ]

@@ -138,8 +138,10 @@ class Weights:
         return self.inflation * self.healthy.W_delta, self.inflation * self.healthy.B_w
 
     def of_core(self, omega: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-        """Yield the results of `of_frames` and of `at` for the core, with an unlimited disturbance in silent
-        bins."""
+        """Yield the results of `of_frames` and of `at` for the core.
+
+        In silent bins the disturbance is unlimited.
+        """
         for W_delta, B_w in (self.of_frames(omega), self.at(omega)):
             B_w = B_w.copy()
             B_w[list(self.silent)] *= UNBOUNDED
@@ -161,8 +163,10 @@ class Weights:
 
     @classmethod
     def from_dict(cls, data: dict, source: str) -> Weights:
-        """Weights from the result of `to_dict`, with a new proof of every certificate. Raises InputError if
-        one fails."""
+        """Weights from the result of `to_dict`, with a new proof of every certificate.
+
+        Raises InputError if one fails.
+        """
 
         def weight(entry: dict, name: str) -> FittedWeight:
             omega = np.array(entry["omega_rad_s"], float)
@@ -221,8 +225,7 @@ class Weights:
 
 
 def _require_stated(source: str, name: str, entry: dict, proved: Certificate) -> None:
-    """Raise InputError unless the statements of an entry of weights.json agree with the certificate
-    ``proved``.
+    """Raise InputError unless an entry of weights.json agrees with the certificate ``proved``.
 
     The stated upper limit of weight / bound must be at least the proved one. It must also be at least the
     stated optimum of the order.
@@ -333,8 +336,10 @@ def fit_uncertainty(
 def with_healthy(
     project: Project, estimator: Estimator, weights: Weights, healthy: HealthySet, workers: Map = map
 ) -> Weights:
-    """The weights with the ``healthy`` set of the frame test, and with W_delta of the energy test above this
-    set."""
+    """The weights with the ``healthy`` set of the frame test.
+
+    W_delta of the energy test lies above this set.
+    """
     omega, names = estimator.omega[1:], [f"healthy W_delta {j + 1}" for j in range(project.n_delta)]
     none = np.full((estimator.n_bins, project.n_delta), np.nan)
     columns = zip(none.T, healthy.W_delta[1:].T, names, strict=True)

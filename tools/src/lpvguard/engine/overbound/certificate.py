@@ -120,7 +120,9 @@ def verify_overbound(
 
 def is_hurwitz(coefficients: np.ndarray) -> bool:
     """Return whether all roots lie in the open left half-plane, by Routh's array in rational arithmetic.
-    ``coefficients`` (n + 1,) in descending powers, the first not 0."""
+
+    ``coefficients`` (n + 1,) in descending powers, the first not 0.
+    """
     c = [Fraction(float(v)) for v in coefficients]
     if c[0] < 0:
         c = [-v for v in c]
@@ -182,8 +184,7 @@ _Pieces = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 def _least_ratio(
     top: np.ndarray, bottom: np.ndarray, samples: SampledBound, strict: bool
 ) -> tuple[float, float, int]:
-    """Proved lower bound of inf sqrt(top/bottom)/bound, its frequency (rad/s, within 1e-9) and number of
-    tests.
+    """Proved lower bound of inf sqrt(top/bottom)/bound, its frequency (rad/s, within 1e-9), number of tests.
 
     ``top`` and ``bottom`` are polynomials in ascending powers of y, in the unit of ``samples``, with bottom
     >= 0. Returns 0 and the frequency if no positive ratio could be proved. With ``strict``, frequencies

@@ -192,8 +192,10 @@ def _close(
 
 
 def _lift(grid: Grid, candidate: MinimaxFit) -> tuple[Weight, float, Certificate]:
-    """Weight from the spectral factors of a candidate, the gain that lifts it above the bound, and its
-    certificate."""
+    """Weight from the spectral factors of a candidate, raised above the bound by a gain.
+
+    Returns the weight, the gain and the certificate.
+    """
     samples = grid.samples
     factors = [_spectral_factor(np.trim_zeros(p, "b")) for p in (candidate.top, candidate.bottom)]
     num, den = (p / samples.unit ** np.arange(len(p) - 1, -1, -1.0) for p in factors)
@@ -208,8 +210,10 @@ def _lift(grid: Grid, candidate: MinimaxFit) -> tuple[Weight, float, Certificate
 
 
 def _spectral_factor(square: np.ndarray) -> np.ndarray:
-    """Polynomial p, in descending powers of s, with |p(jw)|^2 = square(w^2) and roots in the open left
-    half-plane."""
+    """Polynomial p with |p(jw)|^2 = square(w^2) and roots in the open left half-plane, if any.
+
+    It is in descending powers of s.
+    """
     roots = polynomial_roots(square[::-1])
     s = -np.sqrt(-roots.astype(complex))
     return math.sqrt(abs(square[-1])) * np.atleast_1d(np.real(np.poly(s)))

@@ -96,8 +96,10 @@ class Grid:
             self._place(np.union1d(self._grid, 0.5 * np.log(y)))
 
     def start(self) -> np.ndarray:
-        """Rows of the first linear program (y values): both ends, and the largest and smallest bound in 24
-        intervals."""
+        """Rows of the first linear program (y values).
+
+        They are both ends, and the largest and smallest bound in each of 24 intervals.
+        """
         cells = np.array_split(np.arange(self.y.size), 24)
         return np.unique(self.y[[0, -1] + [c[f(self.b2[c])] for c in cells for f in (np.argmin, np.argmax)]])
 
@@ -114,8 +116,10 @@ class Grid:
             return np.where(low > 0, high / (self.b2 * low), math.nan)
 
     def spread_db(self, ratio2: np.ndarray, rows: np.ndarray | slice = _ALL) -> float:
-        """Quotient of the largest and smallest ratio at ``rows`` [dB], inf if no gain raises all above the
-        bound."""
+        """Quotient [dB] of the largest and smallest ratio at ``rows``.
+
+        It is inf if no gain raises all of them above the bound.
+        """
         if np.isnan(ratio2).any() or not (least := ratio2[self.below[rows]].min()) > 0:
             return math.inf
         return 10.0 * math.log10(ratio2.max() / least)
@@ -192,10 +196,10 @@ def _exchange(
     upper_db: float,
     tol_db: float,
 ) -> tuple[tuple[np.ndarray, np.ndarray] | None, float]:
-    """Bracket the optimum over the rows ``active`` (y values) to ``tol_db``: (N, D) or None, and an
-    infeasible level.
+    """Bracket the optimum over the rows ``active`` (y values) to ``tol_db``.
 
-    ``upper_db`` is a feasible level. None means that it cannot be improved by ``tol_db``.
+    Returns (N, D) or None, and an infeasible level. ``upper_db`` is a feasible level. None means that it
+    cannot be improved by ``tol_db``.
     """
     rows = np.searchsorted(grid.y, active)
     powers = grid.powers(order)
@@ -279,8 +283,10 @@ def _program(
 
 
 def _failures(grid: Grid, ratio2: np.ndarray, level_db: float) -> np.ndarray:
-    """Points to add (y values): the worst local extremes outside [1, level], and one per interval with D <=
-    0."""
+    """Points (y values) that the grid of a program needs in addition.
+
+    They are the worst local extremes outside [1, level], and one point per interval with D <= 0.
+    """
     bad = ~((ratio2 > 0) | (grid.strict & np.isinf(grid.y)))
     log_r = 10.0 * np.log10(np.where(ratio2 > 0, ratio2, 1.0))
     miss = np.maximum(log_r - level_db, -log_r * grid.below)

@@ -63,8 +63,7 @@ class Barrier:
         return self._vector(G)
 
     def price(self, cost: np.ndarray) -> np.ndarray:
-        """Gradient (size,) of sum_i tr(cost sum_k phi_ik P_k) by the vector of P, for a symmetric cost (n,
-        n)."""
+        """Gradient (size,) of sum_i tr(cost sum_k phi_ik P_k) by the vector of P, with ``cost`` (n, n)."""
         return self._vector(np.einsum("ik,ab->kab", self.next + self.moved, cost))
 
     def _vector(self, G: np.ndarray) -> np.ndarray:
@@ -72,8 +71,10 @@ class Barrier:
         return (G[:, self.upper[0], self.upper[1]] * self.twice).ravel()
 
     def hessian(self, S: np.ndarray) -> np.ndarray:
-        """Lower triangle of the Hessian (size, size) of -sum_i log det F_i, from S_i = F_i^-1 (count, N,
-        N)."""
+        """Lower triangle of the Hessian (size, size) of -sum_i log det F_i, from S_i = F_i^-1.
+
+        S is (count, N, N).
+        """
         x, y, z = self._sides(S)
         transposed = np.swapaxes(y, 1, 2)
         both, half = x + y + transposed + 0.5 * z, x + 0.5 * y
@@ -180,8 +181,10 @@ def factored(H: np.ndarray):
 
 
 def line_search(curve: np.ndarray, slope: float) -> float:
-    """Minimiser over s >= 0 of slope s - sum log(1 + s curve), with curve (n,), by safeguarded Newton
-    steps."""
+    """Minimiser over s >= 0 of slope s - sum log(1 + s curve), by safeguarded Newton steps.
+
+    ``curve`` is (n,).
+    """
     end = -1 / curve.min() if curve.min() < 0 else np.inf
     s = min(1.0, 0.9 * end)
     for _ in range(30):

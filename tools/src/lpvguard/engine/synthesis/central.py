@@ -19,8 +19,9 @@ def coupling_margin(control: RiccatiSolution, filter_: RiccatiSolution, gamma: f
 
 
 def central_controller(P: Plant, gamma: float) -> StateSpace | None:
-    """Central controller of a regular plant at level γ, None below γ_opt (Zhou, Doyle & Glover 1996, theorem
-    17.1).
+    """Central controller of a regular plant at level γ, or None below γ_opt.
+
+    See Zhou, Doyle & Glover 1996, theorem 17.1.
     """
     n, m1, p1 = len(P.A), P.B1.shape[1], P.C1.shape[0]
     control, filter_ = Side.regular(P), Side.regular(P.dual)

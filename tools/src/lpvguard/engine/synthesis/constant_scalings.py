@@ -128,8 +128,10 @@ class ConstantScalings:
     def _mean(
         self, sizes: np.ndarray, rest: float, log_constants: np.ndarray
     ) -> tuple[float, np.ndarray, np.ndarray]:
-        """Power mean of the largest singular value over frequency: logarithm, slope (free,), curvature (free,
-        free)."""
+        """Power mean of the largest singular value over frequency.
+
+        Returns its logarithm, and the slope (free,) and curvature (free, free) of the logarithm.
+        """
         left, right = self._factors(sizes, rest, log_constants)
         N = left[:, None] * self._grid * right
         gram = N @ np.conj(np.swapaxes(N, 1, 2))
@@ -177,8 +179,7 @@ class ConstantScalings:
 
     @cached_property
     def _of_blocks(self) -> tuple[np.ndarray, np.ndarray]:
-        """Masks of the outputs (free, rows) and inputs (free, columns) that belong to each block with a
-        constant."""
+        """Masks of the outputs (free, rows) and inputs (free, columns) of each block with a constant."""
         G, blocks = self.system, np.arange(self.fixed, len(self.rows))[:, None]
         block_numbers = [np.repeat(np.arange(len(sizes)), sizes) for sizes in (self.rows, self.cols)]
         return (

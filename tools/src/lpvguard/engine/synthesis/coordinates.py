@@ -90,11 +90,10 @@ def _rounded(whole: np.ndarray, bits: int) -> np.ndarray:
 
 
 def frail_pole(plant: StateSpace) -> str:
-    """A sentence on the pole that the last digits of A leave most uncertain; empty where every pole is
-    certain.
+    """A sentence on the pole that the last digits of A leave most uncertain.
 
-    It uses the first-order bound eps |y|ᵀ|A||x| / |yᴴx| on a pole's movement; it does not depend on the units
-    of the states.
+    It is empty where every pole is certain. It uses the first-order bound eps |y|ᵀ|A||x| / |yᴴx| on a pole's
+    movement; it does not depend on the units of the states.
     """
     if plant.order == 0:
         return ""

@@ -145,8 +145,7 @@ def cover(
 def continuous_interval(
     name: str, loop: StateSpace, structure: Structure, low: float, high: float
 ) -> tuple[StateSpace, float, float, Callable[[float], float]]:
-    """Return the balanced loop in continuous time, its interval, and the map from its frequencies to the
-    loop's.
+    """Return the balanced loop in continuous time, its interval, and the map of frequencies to ``loop``.
 
     Parameters, errors and units are those of ``cover``.
     """

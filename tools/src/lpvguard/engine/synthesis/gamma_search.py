@@ -220,8 +220,9 @@ class GammaProblem:
             yield 10.0**-exponent, 0.9
 
     def controller(self, gamma: float, epsilon: float) -> StateSpace | None:
-        """Central controller at ``gamma`` of the plant with extra cost and noise ε; None where ``gamma`` is
-        too low.
+        """Central controller at ``gamma`` of the plant with extra cost and noise ε, or None.
+
+        None means that ``gamma`` is too low.
         """
         P = self.P if epsilon == 0 else extended_plant(self.P, self.soft, epsilon)
         return central_controller(P, gamma)

@@ -304,8 +304,10 @@ class _Posed:
         return replace(norm, upper=upper, lower=min(norm.lower, other.upper)) if upper < norm.upper else norm
 
     def restore(self, K: StateSpace) -> StateSpace:
-        """Controller of the original plant from the problem's controller K, with the plant's sample time and
-        names."""
+        """Controller of the original plant from the controller K of the problem.
+
+        It has the sample time and the names of the plant.
+        """
         plant, (n_u, n_y) = self.plant, self.shift.shape
         K = absorb_feedthrough(K, self.D22)
         K = to_discrete(K, plant.dt) if plant.dt else K
@@ -331,9 +333,7 @@ def _posed(plant: StateSpace, n_control: int, n_measurement: int, coordinates: C
 
 
 def _synthesis(posed: _Posed, backoff: float, rtol: float, guess: float | None) -> HinfResult:
-    """First controller whose certified norm is within ``backoff`` of the optimum, or else the best
-    controller.
-    """
+    """First controller whose certified norm is within ``backoff`` of the optimum, else the best one."""
     problem = posed.problem
     try:
         gamma = problem.optimum(rtol, guess)

@@ -92,8 +92,7 @@ def _one_side(P: Plant, Z: np.ndarray, allowance: float) -> tuple[np.ndarray | N
 
 
 def dual_certificate(P: Plant, control: Side, filter_: Side, level: float) -> DualCertificate | None:
-    """Return the certificate of the worst trajectories at ``level``, or None where there are no such
-    trajectories.
+    """Return the certificate of the worst trajectories at ``level``, or None without such trajectories.
 
     ``level`` is a little below the optimum. ``control`` and ``filter_`` are the Riccati equations of the
     plant and of its dual.
@@ -222,8 +221,7 @@ def _level_at(plant: StateSpace, n_control: int, n_measurement: int, omega: floa
 
 
 def _uncancelled(known: np.ndarray, free: np.ndarray, rounding: float, moved: float) -> float:
-    """Return σ̄ of the part of ``known`` that no Q cancels through ``free``, less the possible rounding of
-    both."""
+    """Return σ̄ of the part of ``known`` that no Q cancels through ``free``, with rounding deducted."""
     scale = np.linalg.norm(free, axis=0)
     if free.shape[1] >= len(free) or not scale.all():
         return 0.0

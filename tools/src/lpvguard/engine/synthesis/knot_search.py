@@ -46,8 +46,10 @@ SOLVED_AT_ONCE = 200
 
 
 class KnotBarrier(Barrier):
-    """Barrier in which every inequality concerns two neighbouring terms. ``segment`` (count,) is the first
-    one."""
+    """Barrier in which every inequality concerns two neighbouring terms.
+
+    ``segment`` (count,) is the first one.
+    """
 
     def __init__(
         self,
@@ -71,8 +73,10 @@ class KnotBarrier(Barrier):
         return solved_blocks(diagonal, beside, right * flat) * flat
 
     def _blocks(self, S: np.ndarray) -> tuple[list[np.ndarray], list[np.ndarray]]:
-        """Blocks of the Hessian: on the diagonal (only the lower triangles are valid), and below the
-        diagonal."""
+        """Blocks of the Hessian: on its diagonal, and below it.
+
+        Only the lower triangles of the blocks on the diagonal are valid.
+        """
         size, terms = len(self.twice), self.next.shape[1]
         diagonal, beside = [np.zeros((size, size))], []
 
@@ -218,8 +222,10 @@ class KnotGrid:
         return np.repeat(speed, 2), np.repeat(segment, 2), np.tile([1.0, -1.0], len(speed))
 
     def barrier(self, rate: float) -> KnotBarrier:
-        """Barrier of F at every speed, in each of its segments, for speeds that rise or fall by ``rate``
-        [m/s^2]."""
+        """Barrier of F at every speed, in each of its segments.
+
+        The speeds rise or fall by ``rate`` [m/s^2].
+        """
         speed, segment, sign = self._rows
         width = np.diff(self.knots)[segment]
         share = (self.speeds[speed] - self.knots[segment]) / width
@@ -266,8 +272,7 @@ class KnotGrid:
         return replace(self, knots=knots), replace(point, P=P)
 
     def evened(self, point: Point) -> tuple[KnotGrid, Point]:
-        """The grid in coordinates in which the mean of P is diagonal and the mean of F at rate 0 is the
-        identity.
+        """The grid in coordinates with a diagonal mean of P, and the identity as the mean of F at rate 0.
 
         The rounding of the Hessian is least in them. Where the mean of F is not positive, the coordinates
         stay.
@@ -321,8 +326,10 @@ def _units(F: np.ndarray, segment: np.ndarray, unit: np.ndarray) -> np.ndarray:
 def _feasible(
     barrier: KnotBarrier, start: Point, units: np.ndarray, gain: np.ndarray, price: np.ndarray
 ) -> Point | None:
-    """Newton's method on weight t - sum_i log det(F_i + t units_i) until t < 0. None where t stays
-    positive."""
+    """Newton's method on weight t - sum_i log det(F_i + t units_i) until t < 0.
+
+    None where t stays positive.
+    """
     P, size = start.P, len(units) * units.shape[-1]
     L = np.linalg.inv(np.linalg.cholesky(units))
     excess = np.full(len(gain), start.excess)

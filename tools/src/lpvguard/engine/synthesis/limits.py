@@ -82,8 +82,10 @@ def floor_exceeds(plant: GeneralisedPlant, omega: float, level: float) -> bool:
 
 
 class _Frequency:
-    """Both terms of Parrott's theorem at one frequency. Arrays ``low`` and ``high`` (k, τ) are boxes of ln
-    d."""
+    """Both terms of Parrott's theorem at one frequency.
+
+    Arrays ``low`` and ``high`` (k, τ) are boxes of ln d.
+    """
 
     def __init__(self, plant: GeneralisedPlant, G: np.ndarray):
         p, m = plant.n_measurement, plant.n_control
@@ -139,8 +141,10 @@ class _Frequency:
         return False
 
     def _divided(self, low, high, values):
-        """All boxes after a cut of those with the least bounds, and the number of new boxes, which come
-        first."""
+        """All boxes after a cut of those with the least bounds, and the number of new boxes.
+
+        The new boxes come first.
+        """
         order = np.argsort(values, kind="stable")
         first, rest = order[:BOXES_AT_ONCE], order[BOXES_AT_ONCE:]
         children = _halves(low[first], high[first])
@@ -159,10 +163,10 @@ def _halves(low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _gain(image: np.ndarray, source: np.ndarray, left: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """Lower bound of max over v of ‖exp(left) image v‖ / ‖exp(right) source v‖, for each row of left and
-    right.
+    """Lower bound of max over v of ‖exp(left) image v‖ / ‖exp(right) source v‖.
 
-    It is the ratio for one computed v, less the possible rounding of its terms. It holds for any v.
+    It is computed for each row of ``left`` and ``right``. It is the ratio for one computed v, less the
+    possible rounding of its terms. It holds for any v.
     """
     if source.shape[1] == 0:
         return np.zeros(len(left))

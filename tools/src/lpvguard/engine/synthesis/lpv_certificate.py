@@ -220,8 +220,10 @@ class Storage:
         return pairs
 
     def cut(self, low: float, high: float, step: float) -> float:
-        """Return a speed that cuts low..high: the speed nearest to its middle with a knot ``step`` away, or
-        the middle."""
+        """Return a speed that cuts low..high.
+
+        It is the speed nearest to the middle with a knot ``step`` away, or else the middle.
+        """
         inner = self.knots[1:-1]
         bends = np.concatenate([inner - step, inner + step])
         middle, reserve = 0.5 * (low + high), INSIDE * np.spacing(high)
@@ -415,8 +417,10 @@ def _absolute(X: np.ndarray) -> np.ndarray:
 
 
 def _weighed(X: np.ndarray, Y: np.ndarray, inverse: np.ndarray) -> np.ndarray:
-    """eta X + Y / eta for X, Y >= 0, with the eta that minimises its trace times ``inverse``, the inverse of
-    F."""
+    """eta X + Y / eta for X, Y >= 0, with the eta that minimises its trace times ``inverse``.
+
+    ``inverse`` is the inverse of F.
+    """
     x, y = np.sum(inverse * X), np.sum(inverse * Y)
     if not (x > 0 and y > 0):
         return X + Y
@@ -518,8 +522,10 @@ def _polynomial(family: Family) -> LpvCertificate | None:
 
 
 def _on_grid(family: Family, grid: np.ndarray) -> tuple[bool, LpvCertificate | None]:
-    """Search at the speeds ``grid`` and prove between them: whether the search succeeded, and the
-    certificate."""
+    """Search at the speeds ``grid``, and prove between them.
+
+    Returns whether the search succeeded, and the certificate.
+    """
     start = frozen_at(family, grid)
     if start is None:
         return False, None
@@ -640,8 +646,7 @@ def _frozen(parts: list[tuple[np.ndarray, np.ndarray]], Ts: float) -> np.ndarray
 
 
 def _even(basis, parts, frozen):
-    """Coordinates in which the mean of the frozen solutions is diagonal and that of their dissipation the
-    identity.
+    """Coordinates with a diagonal mean of the frozen solutions, and the identity as mean dissipation.
 
     Slow states lose little of their storage in a step. In other coordinates they would dominate the curvature
     of the barrier.

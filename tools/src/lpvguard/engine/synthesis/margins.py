@@ -47,8 +47,10 @@ GRID = 400
 
 @dataclass(frozen=True)
 class LoopMargin:
-    """A margin ``value`` and the frequency ``omega`` [rad/s] where it is attained, None for an unlimited
-    margin."""
+    """A margin ``value`` and the frequency ``omega`` [rad/s] that attains it.
+
+    ``omega`` is None for an unlimited margin.
+    """
 
     value: float
     omega: float | None
@@ -148,7 +150,10 @@ def of_samples(omega: np.ndarray, L: np.ndarray) -> Response:
     omega, L = np.asarray(omega, float), np.asarray(L, complex)
     if len(omega) < FEWEST or omega[0] <= 0 or (np.diff(omega) <= 0).any() or L.shape != omega.shape:
         raise SynthesisError(
-            "loop", "omega", f"{len(omega)} frequencies", f"at least {FEWEST}, rising from above 0, L at each"
+            "loop",
+            "omega",
+            f"{len(omega)} frequencies",
+            f"at least {FEWEST} rising frequencies above 0, and one L for each",
         )
     if not np.isfinite(L).all():
         raise SynthesisError("loop", "L", "a sample is not finite", "finite samples")
@@ -190,7 +195,7 @@ def of_system(loop: StateSpace) -> tuple[Response, np.ndarray]:
         raise SynthesisError("loop", "poles", "the open loop is not stable", "a stable plant and controller")
     back = 1 + loop.D.item()
     if back == 0:
-        raise SynthesisError("loop", "D", "-1: 1 + L vanishes at infinity", "a well-posed loop")
+        raise SynthesisError("loop", "D", "-1, so that 1 + L is 0 at infinity", "a well-posed loop")
     closed = np.linalg.eigvals(loop.A - loop.B @ loop.C / back)
     poles = np.concatenate([loop.poles(), closed]).astype(complex)
     if loop.dt:
@@ -321,8 +326,10 @@ def _disk(name: str, peak: LoopMargin) -> dict[str, LoopMargin]:
 
 
 def _refined(response: Response, omega: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The grid, refined until log L and log (1 + L) change by at most STEP between neighbours, and L on
-    it."""
+    """Refine the grid until log L and log (1 + L) change by at most STEP between neighbours.
+
+    Returns the grid, and L on it.
+    """
     L = response(omega)
     for _ in range(ROUNDS):
         with np.errstate(all="ignore"):

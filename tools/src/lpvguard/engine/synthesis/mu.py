@@ -71,8 +71,10 @@ class MuBounds:
 
     @property
     def gap(self) -> float:
-        """Share by which the upper bound exceeds the lower one; 0 for an upper bound of at most ``ZERO``
-        times size."""
+        """Share by which the upper bound exceeds the lower one.
+
+        It is 0 for an upper bound of at most ``ZERO`` times size.
+        """
         if self.upper <= max(ZERO * self.size, NOTHING):
             return 0.0
         return self.upper / self.lower - 1 if self.lower > 0 else np.inf

@@ -36,8 +36,7 @@ def lower_bound(
     steps: int = 200,
     vectors: Sequence[np.ndarray] = (),
 ) -> tuple[float, np.ndarray | None]:
-    """Largest β with I − M Δ singular and max σ̄(Δ_i) = 1/β that the search reaches, and its Δ; else (0,
-    None).
+    """Largest β = 1/max σ̄(Δ_i) with I − M Δ singular that the search reaches, and Δ, or (0, None).
 
     ``vectors``, each (Σrows,), are guesses of an x with M Δ x = x, from the scalings of the upper bound. The
     factors of these scalings commute with Δ. The iteration therefore runs on the scaled, well-balanced
@@ -112,8 +111,7 @@ def _checked(M: np.ndarray, structure: Structure, parts: Parts, least: float = 0
 
 
 def _attained(M: np.ndarray, structure: Structure, start: np.ndarray) -> tuple[float, np.ndarray] | None:
-    """The upper bound and the Δ that attains it, where the blocks are full and the largest singular value
-    simple.
+    """The upper bound and the Δ that attains it, for full blocks and a simple largest singular value.
 
     The blocks u_i and v_i of the singular vectors u, v then have equal lengths, and Δ_i maps u_i to v_i. The
     result is None otherwise. ``start`` (Σcols, Σcols) is a factor of D_left near that of the bound.
@@ -140,8 +138,10 @@ def _distinct(candidates: list[_Found]) -> list[_Found]:
 
 
 def _vertices(structure: Structure, parts: Parts) -> list[Parts]:
-    """``parts`` with the real blocks at up to 64 combinations of ±1, where a purely real optimum often
-    lies."""
+    """``parts`` with up to 64 combinations of ±1 for the real blocks.
+
+    A purely real optimum often lies there.
+    """
     real = [k for k, b in enumerate(structure.blocks) if b.kind == "repeated_real"]
     if not real:
         return []
@@ -155,8 +155,10 @@ def _vertices(structure: Structure, parts: Parts) -> list[Parts]:
 
 
 def _align(M: np.ndarray, structure: Structure, parts: Parts, steps: int = 200) -> Parts:
-    """Local ascent of ρ(M Q) over complex Q, which aligns each block with the gradient at the
-    eigenvectors."""
+    """Local ascent of ρ(M Q) over complex Q.
+
+    Each step aligns each block with the gradient at the eigenvectors.
+    """
     value = 0.0
     for _ in range(steps):
         Q = _assemble(structure, parts)
@@ -388,8 +390,10 @@ def _free_parameters(structure: Structure, parts: Parts) -> Iterator[Callable[[f
 
 
 def _make_real(M: np.ndarray, vary: Callable[[float], np.ndarray], start: complex) -> np.ndarray | None:
-    """Move the eigenvalue ``start`` of M Δ(0) to the real axis by secant steps. Returns Δ(s) / eigenvalue, or
-    None."""
+    """Move the eigenvalue ``start`` of M Δ(0) to the real axis by secant steps.
+
+    Returns Δ(s) / eigenvalue, or None.
+    """
     s, step, value = 0.0, 1e-4, start
     for _ in range(30):
         if abs(value.imag) <= 1e-13 * abs(value):

@@ -36,12 +36,12 @@ UNFELT = 1e-10
 def upper_bound(
     M: np.ndarray, structure: Structure, rtol: float, target: float = 0.0
 ) -> tuple[float, float, np.ndarray, np.ndarray, np.ndarray]:
-    """β for M (Σcols, Σrows), a lower bound of its infimum, factors L of D_left and D_right (D = L Lᴴ), and
-    G.
+    """Upper bound β of μ for M (Σcols, Σrows), with its scalings.
 
-    D_left is (Σcols, Σcols), D_right (Σrows, Σrows), G (Σrows, Σcols). The search ends when β is within
-    ``rtol`` (relative) of the infimum, or when rounding prevents a lower β. With a ``target`` it ends as soon
-    as β is below it. The scalings are then the centre of the set that proves ``target``, far from its border.
+    Returns β, a lower bound of its infimum, factors L of D_left and D_right (D = L Lᴴ), and G. D_left is
+    (Σcols, Σcols), D_right (Σrows, Σrows), G (Σrows, Σcols). The search ends when β is within ``rtol``
+    (relative) of the infimum, or when rounding prevents a lower β. With a ``target`` it ends as soon as β is
+    below it. The scalings are then the centre of the set that proves ``target``, far from its border.
 
     After each centre its D + |G| is absorbed into the matrix (N ← Lᴴ N L⁻ᴴ, D + |G| = L Lᴴ). The next step
     therefore starts in well-scaled coordinates, even if the optimal scalings are badly conditioned. D alone
@@ -96,10 +96,10 @@ def upper_bound(
 
 
 def scaled_size(M: np.ndarray, structure: Structure) -> float:
-    """Return a size of M (Σcols, Σrows) that does not depend on units: the bound with real blocks as complex
-    ones.
+    """Return a size of M (Σcols, Σrows) that does not depend on units.
 
-    It is at least ``LEAST_SIZE`` times ‖M‖ in balanced units.
+    It is the bound of μ with complex blocks in place of real ones. It is at least ``LEAST_SIZE`` times ‖M‖ in
+    balanced units.
     """
     left, right = _both_sides(_balance(M, structure), structure)
     balanced = float(np.linalg.norm(left @ M @ np.linalg.inv(right), 2))
@@ -165,11 +165,11 @@ def simple_infimum(
 def _newton_model(
     M: np.ndarray, x: np.ndarray, rows: list[int], cols: list[int], member: np.ndarray
 ) -> tuple[float, np.ndarray, np.ndarray, float]:
-    """σ̄ of the scaled M, its first and second derivatives (k,), (k, k) in x, and a lower bound of its
-    minimum.
+    """σ̄ of the scaled M, its first and second derivatives (k,), (k, k) in x, and a lower bound.
 
-    σ̄ is the largest eigenvalue of [0 N; Nᴴ 0], whose derivative by x_i is [P_i N − N Q_i] above the
-    diagonal; ``member`` (k, Σcols + Σrows) holds the diagonals of P_i and −Q_i.
+    The lower bound is that of the minimum of σ̄. σ̄ is the largest eigenvalue of [0 N; Nᴴ 0], whose
+    derivative by x_i is [P_i N − N Q_i] above the diagonal; ``member`` (k, Σcols + Σrows) holds the diagonals
+    of P_i and −Q_i.
     """
     n = len(M)
     N = np.exp(np.repeat(x, rows))[:, None] * M * np.exp(-np.repeat(x, cols))
@@ -349,8 +349,9 @@ def _whiten(L: np.ndarray, F: np.ndarray) -> np.ndarray:
 
 
 def _dual_gap(x: np.ndarray, Z: np.ndarray, structure: Structure, trace: np.ndarray) -> float:
-    """Largest distance of the infimum below the level. The multipliers Z of the centre prove level − gap ≤
-    β².
+    """Largest distance of the infimum below the level.
+
+    The multipliers Z of the centre prove level − gap ≤ β².
 
     It is tight only for scalar D_i. With a repeated block it is inf, and the search ends when the levels
     stagnate.

@@ -39,8 +39,7 @@ class Plant:
 
 
 def check_shape(plant: StateSpace, n_control: int, n_measurement: int) -> None:
-    """Raise SynthesisError unless the plant has an input besides the controls and an output besides the
-    measurements."""
+    """Raise SynthesisError unless w and z have at least one signal each."""
     for name, count, available, kind in (
         ("n_control", n_control, plant.n_inputs, "inputs"),
         ("n_measurement", n_measurement, plant.n_outputs, "outputs"),

@@ -92,8 +92,10 @@ class Shift:
                 self.scale[c] = radius
 
     def matrix(self, M: np.ndarray, moved: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return M_c of M, shape (Σcols, Σrows), and the rounding of its entries from the rounding ``moved``
-        of M."""
+        """Return M_c of M, shape (Σcols, Σrows), and the rounding of its entries.
+
+        ``moved`` is the rounding of the entries of M.
+        """
         opened = np.linalg.inv(np.eye(len(M)) - M @ self.offset)
         with np.errstate(
             over="ignore", invalid="ignore"
@@ -129,7 +131,7 @@ def proved_at(
 
     Returns
     -------
-    PointBound, or None where no tried scalings prove it
+    PointBound, or None where no scalings prove the bound
     """
     if not np.isfinite(M).all():
         return None
@@ -218,12 +220,11 @@ class Prover:
         return None, self._halves(part, M), centre
 
     def _wider(self, part: Part, proved: Part, M: np.ndarray, omega: float, beta: float) -> list[Part]:
-        """Return the halves of ``part``'s box with their scalings at ``omega`` [rad/s], if they need fewer
-        cells.
+        """Return the halves of ``part``'s box with their scalings, if they need fewer cells.
 
-        The result is empty if cells like ``proved`` are at least as fast. If an eigenvalue of M Δ is nearly
-        real at all frequencies of the part, scalings of the whole box hold only on narrow cells. M belongs to
-        the whole box.
+        The scalings are those at ``omega`` [rad/s]. The result is empty if cells like ``proved`` are at least
+        as fast. If an eigenvalue of M Δ is nearly real at all frequencies of the part, scalings of the whole
+        box hold only on narrow cells. M belongs to the whole box.
         """
         width = self._width(proved)
         if not 0 < width < self._width(part) / MANY:
@@ -272,7 +273,7 @@ class Prover:
         return _contain(corners, np.append(-size, low), np.append(size, high))
 
     def _reached(self, shift: Shift, within: FrequencyCell, omega: float) -> tuple[float, float]:
-        """Ends of the cell around ``omega`` on which the scalings of ``within`` hold, inside ``within``."""
+        """Ends of the largest part of the cell ``within``, around ``omega``, on which its scalings hold."""
         if not isinstance(self.loop, StateSpace):
             return within.low, within.high
 
@@ -291,16 +292,17 @@ class Prover:
         return all(self._positive(shift, point, omega) for omega in inside)
 
     def _is_narrow(self, part: Part) -> bool:
-        """Return whether M hardly changes over ``part``. Cells that leave a rest of such a part would never
-        end."""
+        """Return whether M hardly changes over ``part``.
+
+        Cells that leave a rest of such a part would never end.
+        """
         return (
             part.high <= max(part.low * (1 + self.slack), self.slack * self.slowest)
             or part.low * self.slack >= self.fastest
         )
 
     def _centre(self, part: Part) -> float:
-        """Return a frequency [rad/s] of ``part``: its middle, or for a narrow part at 0 or infinity this
-        end."""
+        """Return a frequency [rad/s] of ``part``: its middle, or its end at 0 or infinity if it is narrow."""
         if part.low == part.high or (part.low == 0.0 and self._is_narrow(part)):
             return part.low
         if np.isinf(part.high) and self._is_narrow(part):
@@ -330,8 +332,7 @@ class Prover:
 
 
 def _contain(boxes: Sequence[tuple[np.ndarray, np.ndarray]], low: np.ndarray, high: np.ndarray) -> bool:
-    """Return whether the union of ``boxes`` (low, high) contains the box from ``low`` to ``high``, all
-    (d,)."""
+    """Return whether the union of ``boxes`` contains the box from ``low`` to ``high``, all (d,)."""
     near = [(a, b) for a, b in boxes if (a <= high).all() and (b >= low).all()]
     if any((a <= low).all() and (b >= high).all() for a, b in near):
         return True

@@ -171,8 +171,10 @@ class RealSearch:
     def _equation(
         self, M: np.ndarray, delta: np.ndarray, omega: float | None
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
-        """The condition yᴴ (I − M Δ) x = 0, linear in the new δ and dω: A (2, k) or (1, k), b, and column of
-        dω."""
+        """The condition yᴴ (I − M Δ) x = 0, linear in the new δ and dω.
+
+        Returns A (2, k) or (1, k), b, and the column of dω.
+        """
         if omega is None and not M.imag.any():
             M = M.real
         loop = np.eye(len(M)) - M @ self.delta(delta)

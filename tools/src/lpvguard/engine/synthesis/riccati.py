@@ -27,8 +27,10 @@ CANCELLED = 1e-9
 
 
 class RiccatiSolution(NamedTuple):
-    """A stabilising solution ``X`` (n, n), symmetric. ``definite``: X is positive semidefinite within
-    rounding."""
+    """A stabilising solution ``X`` (n, n), symmetric.
+
+    ``definite``: X is positive semidefinite within rounding.
+    """
 
     X: np.ndarray
     definite: bool
@@ -144,8 +146,9 @@ def hamiltonian(side: Side, gamma: float) -> np.ndarray:
 
 
 def balance_hamiltonian(H: np.ndarray, floor: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
-    """Scale H (2n, 2n) by a symplectic diag(t, 1/t) of powers of two (Benner 2001). Returns the scaled H and
-    t (n,).
+    """Scale H (2n, 2n) by a symplectic diag(t, 1/t) of powers of two (Benner 2001).
+
+    Returns the scaled H and t (n,).
 
     Entries up to ``floor`` times the largest entry do not influence t.
     """
@@ -243,10 +246,10 @@ def _pencil_solution(side: Side, gamma: float, t: np.ndarray) -> tuple[RiccatiSo
 def _from_basis(
     U1: np.ndarray, U2: np.ndarray, t: np.ndarray, noise: float
 ) -> tuple[RiccatiSolution | None, float]:
-    """X = U2 U1⁻¹ in the units before the scaling ``t``, from an orthonormal basis [U1; U2] of the stable
-    subspace.
+    """X = U2 U1⁻¹ from an orthonormal basis [U1; U2] of the stable subspace.
 
-    ``noise`` is the error of the basis where it is larger than rounding.
+    X is in the units before the scaling ``t``. ``noise`` is the error of the basis where it is larger than
+    rounding.
     """
     condition = float(np.linalg.cond(U1))
     skew = U1.T @ U2

@@ -44,8 +44,10 @@ RESERVE = 64
 
 @dataclass(frozen=True)
 class Reachable:
-    """A largest ‖w‖, ``energy``, for which ``log_constants`` (blocks,) prove that the demand keeps its
-    limits."""
+    """Proof that the demand keeps its limits for every ‖w‖ up to ``energy``.
+
+    ``log_constants`` (blocks,) prove it.
+    """
 
     energy: float
     log_constants: np.ndarray
@@ -159,8 +161,10 @@ class LimitedLoop:
         return self.system.stability_margin() > 0
 
     def stability(self) -> ConstantScalings:
-        """Loop without performance. A norm below 1 proves that it is stable for every Δ and demand within κ
-        u_max."""
+        """Loop without performance.
+
+        A norm below 1 proves that it is stable for every Δ and demand within κ u_max.
+        """
         return ConstantScalings(
             self.system.select(slice(0, sum(self.rows)), slice(0, sum(self.cols))), self.rows, self.cols
         )
@@ -257,8 +261,7 @@ def _reached(
 
 
 def _proof(A: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray, Q: np.ndarray) -> float:
-    """Least eigenvalue of diag(Q, I) − M diag(Q, I) Mᵀ, M = [A B; C D], divided by its allowance for
-    rounding.
+    """Least eigenvalue of diag(Q, I) − M diag(Q, I) Mᵀ, M = [A B; C D], over its allowance for rounding.
 
     It is -inf where Q is not positive definite. The states are first scaled to a unit diagonal of Q.
     """

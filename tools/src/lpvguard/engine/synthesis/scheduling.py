@@ -108,10 +108,10 @@ def common_scaling(
 def _worst_below(
     plants: Sequence[GeneralisedPlant], limit: float, scaling: Scaling
 ) -> tuple[float | None, int]:
-    """The largest optimum when all lie below ``limit``, else None and the index of the first plant that does
-    not.
+    """The largest optimum when all lie below ``limit``.
 
-    The search skips a plant that reaches the largest optimum so far.
+    Otherwise None, and the index of the first plant whose optimum does not. The search skips a plant that
+    reaches the largest optimum so far.
     """
     largest = 0.0
     for k, plant in enumerate(plants):
@@ -167,8 +167,7 @@ def common_family(
 def _member(
     n_control: int, n_measurement: int, level: float, G: StateSpace
 ) -> tuple[StateSpace, np.ndarray, np.ndarray]:
-    """Central controller of the scaled plant ``G`` at ``level``, and the blocks (n, n) of both closed-loop
-    Gramians."""
+    """Central controller of the scaled plant ``G`` at ``level``, and its blocks of both Gramians (n, n)."""
     n, synthesis = G.order, hinf_synthesis(G, n_control, n_measurement, level=level)
     K = synthesis.controller.transformed(np.linalg.inv(synthesis.basis))
     loop = lft(G, K)

@@ -21,8 +21,10 @@ AXIS_COST = 1e-7
 
 
 def reduced_side(P: Plant) -> Side:
-    """Riccati problem of the control side of P, after the removal of free directions until D12 has full
-    rank."""
+    """Riccati problem of the control side of P.
+
+    Free directions are removed until D12 has full rank.
+    """
     A, B1, B2, C1, D12 = P.A, P.B1, P.B2, P.C1, P.D12
     rate = float(np.linalg.norm(A, 2))
     basis = np.eye(len(A))

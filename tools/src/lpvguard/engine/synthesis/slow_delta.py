@@ -82,8 +82,10 @@ class SlowLoop:
         )
 
     def proved(self, rate: float, log_constants: np.ndarray) -> float:
-        """Upper bound of the norm over all frequencies with ``log_constants`` (free,). Below 1 it proves
-        ``rate``."""
+        """Upper bound of the norm over all frequencies with ``log_constants`` (free,).
+
+        Below 1 it proves ``rate``.
+        """
         return self.scalings.proved(self._sizes(rate), 1.0, log_constants)
 
     def search(self) -> SlowProof | None:

@@ -298,8 +298,7 @@ def same_time(first: StateSpace, second: StateSpace) -> None:
 
 
 def balancing(G: StateSpace) -> np.ndarray:
-    """Powers of two t (n,) that even out the rows and columns of [A B; C 0] in the coordinates x = diag(t)
-    x̃.
+    """Powers of two t (n,) that even out the rows and columns of [A B; C 0] for x = diag(t) x̃.
 
     It is the method of Osborne (1960), by LAPACK's gebal. Inputs and outputs are not scaled. They enter the
     computation as one source and one sink node.

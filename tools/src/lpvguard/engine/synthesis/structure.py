@@ -38,11 +38,10 @@ class Structure:
         self.complex_only = all(b.kind != "repeated_real" for b in blocks)
 
     def coordinates(self, D: np.ndarray, G: np.ndarray) -> np.ndarray:
-        """Coefficients of ``D`` (n_cols, n_cols) in the basis ``right``, and of ``G`` (n_cols, n_rows) in
-        ``skew``.
+        """Coefficients of ``D`` (n_cols, n_cols) and ``G`` (n_cols, n_rows) in the bases of the blocks.
 
-        They form one real vector (len(right) + len(skew),) that begins with those of D. The bases are
-        orthogonal.
+        The bases are ``right`` and ``skew``. The coefficients form one real vector (len(right) + len(skew),)
+        that begins with those of D. The bases are orthogonal.
         """
         parts = [
             np.real(np.sum(basis.conj() * value, axis=(1, 2))) / np.sum(np.abs(basis) ** 2, axis=(1, 2))
@@ -51,8 +50,10 @@ class Structure:
         return np.concatenate(parts)
 
     def magnitude(self, G: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """|G| = (G²)^½ of the blocks of G (n_cols, n_rows), as D_left (n_rows, n_rows) and D_right (n_cols,
-        n_cols)."""
+        """|G| = (G²)^½ of the blocks of G (n_cols, n_rows).
+
+        Returns D_left (n_rows, n_rows) and D_right (n_cols, n_cols) with these blocks.
+        """
         left, right = np.zeros((self.n_rows,) * 2, complex), np.zeros((self.n_cols,) * 2, complex)
         for b, r, c in zip(self.blocks, self.row, self.col, strict=True):
             if b.kind == "repeated_real":

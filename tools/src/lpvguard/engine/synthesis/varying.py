@@ -75,8 +75,10 @@ class History:
         return both, w
 
     def gain(self, start: np.ndarray, steps: int = STEPS) -> tuple[float, np.ndarray]:
-        """Lower bound of the gain, and its input w (T, m) of norm 1. The search begins at ``start`` (T,
-        m)."""
+        """Lower bound of the gain, and its input w (T, m) of norm 1.
+
+        The search begins at ``start`` (T, m).
+        """
         shape = start.shape
         right: list[np.ndarray] = [start.ravel() / np.linalg.norm(start)]
         left: list[np.ndarray] = []
@@ -156,8 +158,10 @@ class OverSpeed:
         return S
 
     def derivative(self, speeds: np.ndarray) -> np.ndarray:
-        """Derivatives dS/dv (K, n + p, n + m) at ``speeds`` (K,), at a node those of the interval above
-        it."""
+        """Derivatives dS/dv (K, n + p, n + m) at ``speeds`` (K,).
+
+        At a node they are those of the interval above it.
+        """
         k, _ = self._place(speeds)
         width = np.diff(self.nodes)[k]
         dS = (self.at_nodes[k + 1] - self.at_nodes[k]) / width[:, None, None]

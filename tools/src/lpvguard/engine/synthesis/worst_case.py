@@ -137,11 +137,10 @@ class _Search:
         self.cols = np.cumsum([0, *(one.rows for one in plant.blocks)])
 
     def run(self, M: np.ndarray, d: np.ndarray, steps: int) -> tuple[float, np.ndarray]:
-        """The largest gain that the search finds, and its Δ with blocks of size 1. d (τ,) are helpful
-        scalings.
+        """The largest gain that the search finds, and its Δ with blocks of size 1.
 
-        Each step divides the performance rows by the gain so far, takes the Δ of the lower bound of μ, and
-        scales its blocks to size 1.
+        d (τ,) are helpful scalings. Each step divides the performance rows by the gain so far, takes the Δ of
+        the lower bound of μ, and scales its blocks to size 1.
         """
         left, right = (
             np.concatenate([np.full(n, x) for n, x in zip(sizes, [*d, 1.0], strict=True)])

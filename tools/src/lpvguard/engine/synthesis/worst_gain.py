@@ -103,11 +103,10 @@ def worst_gain(
 
 
 def proves(bound: IntervalBound, G: StateSpace, structure: Structure, low: float, high: float) -> bool:
-    """Return whether the cells of ``bound`` prove its level from ``low`` to ``high`` [rad/s] in spite of
-    rounding.
+    """Return whether the cells of ``bound`` prove its level from ``low`` to ``high`` [rad/s].
 
-    ``structure`` has the blocks of Δ, then the performance block. The performance columns are divided by the
-    level. The proof then is that of μ < 1.
+    The proof allows for rounding. ``structure`` has the blocks of Δ, then the performance block. The
+    performance columns are divided by the level. The proof then is that of μ < 1.
     """
     if not np.isfinite(bound.upper):
         return False

@@ -44,8 +44,7 @@ def axis_zeros(side: Side, scale: float) -> tuple[float, ...]:
 
 
 def rank_defect(side: Side, omega: float) -> float:
-    """Distance of the system matrix ``[A − jωI, B2; C1, D12]`` from loss of column rank, relative to its
-    entries.
+    """Relative distance of the system matrix ``[A − jωI, B2; C1, D12]`` from loss of column rank.
 
     It is the smallest singular value after scaling of the rows and columns to similar size. 0 means that j
     ``omega`` (in rad/s) is a zero.

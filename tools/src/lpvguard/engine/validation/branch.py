@@ -26,8 +26,10 @@ COSTLY = 24
 
 @dataclass(frozen=True)
 class Interval:
-    """Bounds of the optimum. ``lower`` is certified. ``z`` (n,) attains ``upper``, or it is None and
-    ``upper`` inf."""
+    """Bounds of the optimum.
+
+    ``lower`` is certified. ``z`` (n,) attains ``upper``, or it is None and ``upper`` inf.
+    """
 
     lower: float
     upper: float
@@ -187,8 +189,7 @@ class _Search:
         return Interval(min(closed, remaining, best.cost), best.cost, best.z, serial + 1)
 
     def _bound(self, node: BranchNode) -> _NodeBounds:
-        """Bound a node by its boxes, then by the tangent, and then, if it is still open, by the
-        relaxation."""
+        """Bound a node by its boxes, then by the tangent, then (if still open) by the relaxation."""
         best = self.best
         lower = max(node.lower, self.relaxation.box_bound(node, set(range(self.problem.params))))
         tangent = self.relaxation.tangent(node, best.cost)
@@ -204,8 +205,10 @@ class _Search:
         return _NodeBounds(lower, edges, central, tangent, readings)
 
     def _read(self, readings: list[np.ndarray]) -> None:
-        """Offer the points of a node. Each of the first points gets a local search, later ones only if they
-        improve."""
+        """Offer the points of a node.
+
+        Each of the first points gets a local search, later ones only if they improve.
+        """
         best = self.best
         for z in readings if self._polished < MAX_POLISHED else readings[:1]:
             before = best.cost

@@ -110,8 +110,7 @@ def _proved(problem: Quadratic, interval: Interval, source: str) -> Interval:
 
 
 def _one_block(problem: Quadratic, caps: np.ndarray, scaled: ScaledProblem) -> Interval | None:
-    """Solve by the compiled S2 kernel, for one full block and a plain quadratic cost; None for other
-    problems."""
+    """Solve by the compiled S2 kernel for one full block and a quadratic cost; None for other problems."""
     if len(problem.forms) != 3 or problem.repeated:
         return None
     ball_form, block, cost = problem.forms

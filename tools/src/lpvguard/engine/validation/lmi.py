@@ -62,8 +62,10 @@ def gram(left: np.ndarray, right: np.ndarray, basis: np.ndarray | None) -> np.nd
 
 
 def cone(groups: list[tuple[str, int]]) -> Cone:
-    """Make the cone of groups: ('psd', r) for r x r matrices D >= 0, ('free', r) for matrices without a
-    sign."""
+    """Make the cone of groups.
+
+    ('psd', r) stands for r x r matrices D >= 0, and ('free', r) for matrices without a sign.
+    """
     sizes = [(r * r, r if kind == "psd" else 0) for kind, r in groups]
     start = np.concatenate([[0], np.cumsum([size for size, _ in sizes])[:-1]]).astype(int)
     normal = np.concatenate([np.arange(size) < order for size, order in sizes]).astype(float)
@@ -89,8 +91,10 @@ class Centre:
 
 
 def _compiled(n: int, c: Cone) -> ctypes.CDLL:
-    """Kernel with the smallest arrays that can hold a problem of ``n`` rows. Raises InputError if none
-    can."""
+    """Kernel with the smallest arrays that can hold a problem of ``n`` rows.
+
+    Raises InputError if none can.
+    """
     asked = {"N": n, "M": len(c.normal), "R": max(c.order)}
     for sizes in SIZES:
         if all(asked[key] <= sizes[key] for key in sizes):

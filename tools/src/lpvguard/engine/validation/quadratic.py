@@ -60,8 +60,10 @@ class Quadratic:
         return np.append(np.zeros(self.n - 1, dtype=complex), 1.0)
 
     def scalar(self, k: int, z: np.ndarray) -> complex:
-        """Scalar of repeated form ``k`` that maps b z best to a z, real for a real block and 0 for b z =
-        0."""
+        """Scalar of repeated form ``k`` that maps b z best to a z.
+
+        It is real for a real block, and 0 for b z = 0.
+        """
         f = self.forms[k]
         xi, eta = f.a @ z, f.b @ z
         power = np.vdot(eta, eta).real
@@ -83,8 +85,9 @@ class Quadratic:
     def on_subspace(
         self, z: np.ndarray, deltas: dict[int, complex]
     ) -> tuple[np.ndarray, np.ndarray | None] | None:
-        """Project ``z`` on the constraints a z = delta b z. Returns also a basis (n - 1, m) of the free
-        directions.
+        """Project ``z`` on the constraints a z = delta b z.
+
+        Returns also a basis (n - 1, m) of the free directions.
 
         ``deltas`` maps the index of a repeated form to its scalar. The basis is None without repeated forms,
         because all directions are free. The result is None if the constraints have no solution.
@@ -133,11 +136,10 @@ class Quadratic:
         return z
 
     def inside(self, deltas: dict[int, complex]) -> tuple[float, np.ndarray | None]:
-        """The point z with a z = delta b z that violates the constraints without a size least, after its
-        ratio.
+        """The ratio and the point z with a z = delta b z that violates the constraints least.
 
-        ``deltas`` is that of :meth:`on_subspace`. A point with a ratio of at most 1 is inside. The ratio is
-        inf and z is None if no point has these scalars.
+        Only constraints without a size count. ``deltas`` is that of :meth:`on_subspace`. A point with a ratio
+        of at most 1 is inside. The ratio is inf and z is None if no point has these scalars.
         """
         projected = self.on_subspace(self.origin(), deltas)
         if projected is None:

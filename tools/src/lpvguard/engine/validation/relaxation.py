@@ -101,8 +101,10 @@ class Tangent:
 
 @dataclass(frozen=True)
 class _Generators:
-    """Parts of a certificate: Q0 and its level part (m, n, n), their parameters (m,), and the multiplier
-    cone."""
+    """Parts of a certificate.
+
+    They are Q0 and its level part (m, n, n), their parameters (m,), and the multiplier cone.
+    """
 
     q0: np.ndarray
     level: np.ndarray
@@ -132,8 +134,10 @@ class _HeldScalars:
         )
 
     def base(self, scalars: np.ndarray) -> float:
-        """Sum of the sizes that depend on the scalars only, with the tangent at the centre in place of each
-        |d|^2."""
+        """Sum of the sizes that depend on the scalars only.
+
+        The tangent at the centre replaces each |d|^2.
+        """
         centre = self.centre
         return sum(
             (2.0 * (centre[i].conjugate() * scalars[i]).real - abs(centre[i]) ** 2) / self._forms[i].slope
@@ -195,8 +199,7 @@ class Relaxation:
         return float(total.sum())
 
     def lower(self, node: BranchNode, cutoff: float) -> tuple[float, float, np.ndarray | None]:
-        """Certified lower bound over a node, bound on its central ray, and the primal matrix (n, n) or
-        None."""
+        """Certified lower bound over a node, bound on its central ray, and primal matrix (n, n) or None."""
         g = self._generators(node.boxes) if self.problem.repeated or self._plain is None else self._plain
         base = self.box_bound(node, self.problem.boxed)
         shares = g.shares(node.rays)

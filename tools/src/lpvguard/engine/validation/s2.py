@@ -34,10 +34,10 @@ MAX_N = 16
 
 @dataclass(frozen=True)
 class FormsResult:
-    """Result at every point: certified ``lower``, and ``upper``, which size ``p`` and point ``z`` (n,)
-    attain.
+    """Result at every point: certified ``lower``, and ``upper``.
 
-    ``duals`` is the number of dual problems that were solved.
+    Size ``p`` and point ``z`` (n,) attain ``upper``. ``duals`` is the number of dual problems that were
+    solved.
     """
 
     lower: np.ndarray
@@ -153,8 +153,10 @@ class _Maps:
 
     @classmethod
     def from_data(cls, data: _Data) -> _Maps:
-        """Maps of the free xi = (xi_i, xi_s) to w = e - C d, d = h_i xi_i + h_s xi_s, and to eta = x_nom +
-        d."""
+        """Maps of the free xi = (xi_i, xi_s) to w = e - C d and to eta = x_nom + d.
+
+        d is h_i xi_i + h_s xi_s.
+        """
         e, points, n_x = data.e, len(data.e), data.x_nom.shape[-1]
         d = n_x + 1
         to_d = np.concatenate([data.h_i[:, :, None], data.h_s], axis=2)
@@ -183,8 +185,10 @@ def _at(maps: np.ndarray, z: np.ndarray) -> np.ndarray:
 
 
 def _problem(data: _Data, maps: _Maps, start: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Forms (K, 4, n, n) of :func:`solve_forms`, scaled by the cost (K,) at ``start`` (K, n), and this
-    cost."""
+    """Forms (K, 4, n, n) of :func:`solve_forms`, scaled by a cost, and this cost (K,).
+
+    The cost is that at ``start`` (K, n).
+    """
     per_i = data.lam_i / np.abs(data.u) ** 2
     q0, a, b = per_i[:, None, None] * _gram(maps.xi[:, :1]), _gram(maps.xi[:, 1:]), _gram(maps.eta)
     ball = _gram(maps.w) / data.gamma[:, None, None] ** 2
