@@ -10,7 +10,7 @@
 /// unit vector: ||F e_j|| <= ||F W_delta,j yhat_j|| + sigma_j.
 ///
 /// Assumptions: Delta is analytic with |Delta(z)| <= 1 for |z| >= rho of the right side. ||F w_j|| <= sigma_j at every T. All states
-/// are at rest when the sums begin. The left sum may begin later. |Delta| <= 1 on the unit circle alone is not enough: a delay of n samples
+/// are 0 when the sums begin. The left sum may begin later. |Delta| <= 1 on the unit circle alone is not enough: a delay of n samples
 /// has the gain rho^-n. A ratio of left to right side above 1 proves (W_delta, sigma) wrong for every such Delta. The alarm threshold is
 /// calibrated; it is at least 1 plus the rounding of float. Proof: THEORY 7.2.
 ///
@@ -49,9 +49,9 @@ LPVG_EXTERN_C_BEGIN
 
 /// Forgetting sums of products in one band.                                               [output unit squared]
 typedef struct lpvg_energy_band_t {
-    lpvg_real_t left[LPVG_NGRAM];               ///< of F e_j [output unit squared]
-    lpvg_real_t right[LPVG_NGRAM];              ///< of F W_delta yhat_j [output unit squared]
-    lpvg_real_t nominal[LPVG_NGRAM];            ///< of F yhat_j [output unit squared]
+    lpvg_real_t left[LPVG_NGRAM];               ///< products of F e_j [output unit squared]
+    lpvg_real_t right[LPVG_NGRAM];              ///< products of F W_delta yhat_j [output unit squared]
+    lpvg_real_t nominal[LPVG_NGRAM];            ///< products of F yhat_j [output unit squared]
 } lpvg_energy_band_t;
 
 typedef struct lpvg_energy_t {

@@ -242,7 +242,7 @@ class CertifiedLoop:
         return self.model.frequency_response(omega, v)[..., 0]
 
     def _controller(self, v: float) -> StateSpace:
-        """Controller at speed v [m/s]; raise InputError if it is unstable, because Nyquist's count fails."""
+        """Controller at speed v [m/s]; raise InputError for an unstable one (Nyquist's condition)."""
         K = self.schedule.at(v)
         if K.stability_margin() <= 0:
             raise InputError("controller", f"v = {v:g} m/s", "has an unstable pole", "stable poles")
