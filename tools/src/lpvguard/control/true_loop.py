@@ -101,7 +101,7 @@ def require_certified_by_W_delta(stored: StoredIdentification) -> None:
         raise InputError(
             f"vehicle {stored.project.name}",
             "design.structure",
-            f"{structure}, whose certificate is not about W_delta alone",
+            f"{structure}: its certificate needs more than W_delta",
             "K_i or K_o",
         )
 
