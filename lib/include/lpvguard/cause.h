@@ -1,4 +1,4 @@
-/// @file cause.h -- cause of an alarm. diagnosis.h names it; ecu.h tells it.
+/// @file cause.h -- cause of an alarm. diagnosis.h finds it; ecu.h reports it.
 #ifndef LPVGUARD_CAUSE_H
 #define LPVGUARD_CAUSE_H
 
@@ -15,7 +15,7 @@ typedef enum lpvg_cause_t {
     lpvg_cause_gain = 2,     ///< The output is the model's output times this factor; 1: no change.
     lpvg_cause_delay = 3,    ///< The output is late by this time; below 0: early, for example after a late input [s].
     lpvg_cause_bias = 4,     ///< The output is larger by this constant [output unit].
-    lpvg_cause_sign = 5,     ///< As gain, with a factor below 0.
+    lpvg_cause_sign = 5,     ///< A gain below 0.
     lpvg_cause_frozen = 6,   ///< The output does not move; the value is its mean [output unit].
     lpvg_cause_noise = 7     ///< The output is noisier; the value is the noise's standard deviation [output unit].
 } lpvg_cause_t;

@@ -23,15 +23,15 @@ LPVG_EXTERN_C_BEGIN
 #define LPVG_NENTRIES (LPVG_NX * (LPVG_NX + (2 * LPVG_NU)))
 /// Largest m of the k-of-m confirmation.
 #define LPVG_NHISTORY 8
-/// Parts of a pool of frames; the newest part grows while the oldest is dropped.
+/// Number of parts of a pool of frames; the newest part grows while the oldest is dropped.
 #define LPVG_NPOOL (6 / LPVG_NY)
-/// Equal parts of the scheduling range, each with bounds of pools of its own.
+/// Number of equal parts of the scheduling range, each with its own bounds of pools.
 #define LPVG_NSPEEDS 3
-/// Samples that a bin takes up at once, a power of two.
+/// Number of samples that a bin processes at once, a power of two.
 #define LPVG_NBLOCK 4
-/// Pushes over which the judgement of a frame is spread: 1 where every output has a Delta of its own, else 2.
+/// Number of pushes for the judgement of a frame: 1 if every output has its own Delta, otherwise 2.
 #define LPVG_NPARTS (2 - (LPVG_NDELTA / LPVG_NY))
-/// Samples from the end of a frame to its judgement, at most: the block, the pushes that close several frames, and the queue.
+/// Largest number of samples from the end of a frame to its judgement: the block, the pushes that close several frames, and the queue.
 #define LPVG_NLATENCY (LPVG_NBLOCK - 1 + (LPVG_NBINS / 2) + (LPVG_NPARTS * LPVG_NBINS))
 
 #define lpvg_coeff_words_t LPVG_SYM(coeff_words_t)
@@ -43,56 +43,56 @@ typedef struct lpvg_coeff_words_t {
     uint32_t schema;                        ///< LPVG_COEFF_SCHEMA
     uint32_t real_bytes;                    ///< sizeof(lpvg_real_t)
     uint32_t sizes[11];                     ///< LPVG_NX, NU, NY, DELAY, NBINS, NCELLS, NVARYING, NWEIGHT, NDIRECTIONS, NBANDS, NDELTA
-    uint32_t estimator_id;                  ///< LPVG_ESTIMATOR_ID: definition of the frames the bounds were made with
-    uint32_t crc32;                         ///< over all words and numbers
+    uint32_t estimator_id;                  ///< LPVG_ESTIMATOR_ID: definition of the frames that gave the bounds
+    uint32_t crc32;                         ///< CRC-32 over all words and numbers
     uint32_t sample_period_us;              ///< Ts [us], within [1, inf)
-    uint32_t settle_samples;                ///< time in range before frames may begin [samples]
+    uint32_t settle_samples;                ///< least time in the speed range before frames begin [samples]
     uint32_t confirm;                       ///< k of the k-of-m confirmation, within [1, of_last]
     uint32_t of_last;                       ///< m of the k-of-m confirmation, within [0, NHISTORY]
-    uint32_t energy_settle;                 ///< time in range before the left sum of the energy test grows [samples], within [settle_samples, inf)
-    uint32_t energy_rearm;                  ///< judgements without an exceedance after which the next one is an alarm anew, within [1, inf)
-    uint32_t change_rearm;                  ///< judgements of the change test without an exceedance after which the next one is an alarm anew, within [1, inf)
-    uint32_t frame_length[LPVG_NBINS];      ///< length of a frame: even, none longer than DC's; half exceeds LPVG_NLATENCY [samples]
-    uint32_t cycles[LPVG_NBINS];            ///< periods a frame, 0 at DC, fewer than half its samples
-    uint32_t pool_parts[LPVG_NBINS];        ///< parts of a pool, within [1, NPOOL]
-    uint32_t pool_frames[LPVG_NBINS];       ///< frames of a part, within [1, inf)
-    uint32_t varying_entry[LPVG_NVARYING];  ///< which of the LPVG_NENTRIES entries move with speed, within [0, NENTRIES)
+    uint32_t energy_settle;                 ///< least time in the speed range before the left sum of the energy test begins [samples], within [settle_samples, inf)
+    uint32_t energy_rearm;                  ///< number of judgements below the threshold after which the next exceedance is a new alarm, within [1, inf)
+    uint32_t change_rearm;                  ///< the same number for the change test, within [1, inf)
+    uint32_t frame_length[LPVG_NBINS];      ///< length of a frame: even, at most that of DC; half of it exceeds LPVG_NLATENCY [samples]
+    uint32_t cycles[LPVG_NBINS];            ///< number of periods in a frame: 0 at DC, less than half its samples
+    uint32_t pool_parts[LPVG_NBINS];        ///< number of parts of a pool, within [1, NPOOL]
+    uint32_t pool_frames[LPVG_NBINS];       ///< number of frames in a part, within [1, inf)
+    uint32_t varying_entry[LPVG_NVARYING];  ///< indices of the model entries that vary with speed, within [0, NENTRIES)
 } lpvg_coeff_words_t;
 
 typedef struct lpvg_coeff_reals_t {
-    lpvg_real_t speed_min;                                         ///< scheduling range [m/s], within (0, speed_max)
-    lpvg_real_t speed_max;                                         ///< scheduling range [m/s]
+    lpvg_real_t speed_min;                                         ///< lower end of the scheduling range [m/s], within (0, speed_max)
+    lpvg_real_t speed_max;                                         ///< upper end of the scheduling range [m/s]
     lpvg_real_t speed_valid[2];                                    ///< physical range of the signal [m/s]
     lpvg_real_t input_valid[LPVG_NU][2];                           ///< physical range [input unit]
     lpvg_real_t output_valid[LPVG_NY][2];                          ///< physical range [output unit]
     lpvg_real_t speed_tolerance;                                   ///< largest |v/mean - 1| in a frame [-], within (0, inf)
-    lpvg_real_t input_offset[LPVG_NU];                             ///< subtracted from the input [input unit]
-    lpvg_real_t output_offset[LPVG_NY];                            ///< added to the output [output unit]
+    lpvg_real_t input_offset[LPVG_NU];                             ///< offset that is subtracted from the input [input unit]
+    lpvg_real_t output_offset[LPVG_NY];                            ///< offset that is added to the output [output unit]
     lpvg_real_t base[LPVG_NENTRIES];                               ///< model entries that do not vary with speed
     lpvg_real_t cell[LPVG_NCELLS][LPVG_NVARYING][4];               ///< cubic in the position 0..1 within a speed cell
     lpvg_real_t C[LPVG_NY][LPVG_NX];                               ///< output matrix
-    lpvg_real_t C_pinv[LPVG_NX][LPVG_NY];                          ///< its pseudo-inverse: state of a measured output
+    lpvg_real_t C_pinv[LPVG_NX][LPVG_NY];                          ///< pseudo-inverse of C: gives the state from a measured output
     lpvg_real_t turn[LPVG_NBINS][2];                               ///< cos - 1 and sin of the phase step 2 pi cycles / N [-]
     lpvg_real_t taper[LPVG_NBINS][2];                              ///< cos - 1 and sin of the window step 2 pi / N [-]
     lpvg_real_t scale[LPVG_NBINS];                                 ///< 2 / sum(window), at DC 1 / sum(window) [-], within (0, inf)
-    lpvg_real_t energy_corner[LPVG_NBANDS - 1];                    ///< g of the low-pass g (z + 1) / (z - 1 + 2 g) at each corner, not falling [-], within (0, 1)
+    lpvg_real_t energy_corner[LPVG_NBANDS - 1];                    ///< g of the low-pass g (z + 1) / (z - 1 + 2 g) at each corner, in non-decreasing order [-], within (0, 1)
     lpvg_real_t energy_W[LPVG_NDELTA][LPVG_NWEIGHT][5];            ///< sections of W_delta on |z| = rho, b0 b1 b2 a1 a2, stable (energy.cpp) [-]
     lpvg_real_t energy_scale[LPVG_NBANDS][LPVG_NY];                ///< 1 / sigma_j of each band [1/output unit], within (0, inf)
     lpvg_real_t energy_forget[LPVG_NBANDS];                        ///< 1 - rho^2, rho of the left sums of the band [-], within (0, 1)
-    lpvg_real_t energy_start[LPVG_NBANDS][LPVG_NY];                ///< what is remembered at a restart [output unit], within [0, inf)
-    lpvg_real_t energy_direction[LPVG_NDIRECTIONS][LPVG_NY];       ///< a, in units of sigma, sum |a_j| = 1; of a single output where NDELTA > 1 [-]
+    lpvg_real_t energy_start[LPVG_NBANDS][LPVG_NY];                ///< largest response to samples before a restart [output unit], within [0, inf)
+    lpvg_real_t energy_direction[LPVG_NDIRECTIONS][LPVG_NY];       ///< direction a in units of sigma with sum |a_j| = 1; a single output if NDELTA > 1 [-]
     lpvg_real_t energy_threshold;                                  ///< calibrated threshold of the energy test's ratio [-], within [1, inf)
     lpvg_real_t energy_certificate;                                ///< ratio of the energy test that refutes the certificate [-], within [1, inf)
-    lpvg_real_t change_block_s;                                    ///< a block of LPVG_NBLOCK samples [s], within (0, inf)
-    lpvg_real_t change_unit[LPVG_NY][2];                           ///< 1 / rms of yhat_j, and of its change over a block, on the bound-setting drives [1/output unit], within (0, inf)
-    lpvg_real_t change_prior[LPVG_NY][6];                          ///< what is added to the sums of phi phi', the upper triangle row by row, positive definite [-]
-    lpvg_real_t change_scale[LPVG_NY][3];                          ///< 1 / size of theta_i on the bound-setting drives, theta by regressors over their sizes [1/output unit], within (0, inf)
-    lpvg_real_t change_forget;                                     ///< share of the sums forgotten with a block [-], within (0, 1)
+    lpvg_real_t change_block_s;                                    ///< length of a block of LPVG_NBLOCK samples [s], within (0, inf)
+    lpvg_real_t change_unit[LPVG_NY][2];                           ///< 1 / rms of yhat_j, and 1 / rms of its change over a block, on the drives that set the bounds [1/output unit], within (0, inf)
+    lpvg_real_t change_prior[LPVG_NY][6];                          ///< prior that is added to the sums of phi phi': upper triangle row by row, positive definite [-]
+    lpvg_real_t change_scale[LPVG_NY][3];                          ///< 1 / size of theta_i on the drives that set the bounds, for regressors divided by their sizes [1/output unit], within (0, inf)
+    lpvg_real_t change_forget;                                     ///< share of the sums that is forgotten per block [-], within (0, 1)
     lpvg_real_t change_threshold;                                  ///< calibrated threshold of the change test's ratio [-], within (0, inf)
-    lpvg_real_t W_delta[LPVG_NBINS][LPVG_NDELTA];                  ///< |W_delta| at the bin, of the healthy set [-], within (0, inf)
-    lpvg_real_t B_w[LPVG_NBINS][LPVG_NY];                          ///< disturbance bound at the bin, likewise [output unit], within (0, inf)
-    lpvg_real_t W_certificate[LPVG_NBINS][LPVG_NDELTA];            ///< |W_delta| at the bin, of the certificate [-], within (0, inf)
-    lpvg_real_t B_certificate[LPVG_NBINS][LPVG_NY];                ///< disturbance bound, likewise [output unit], within (0, inf)
+    lpvg_real_t W_delta[LPVG_NBINS][LPVG_NDELTA];                  ///< |W_delta| of the healthy set at the bin [-], within (0, inf)
+    lpvg_real_t B_w[LPVG_NBINS][LPVG_NY];                          ///< disturbance bound of the healthy set at the bin [output unit], within (0, inf)
+    lpvg_real_t W_certificate[LPVG_NBINS][LPVG_NDELTA];            ///< |W_delta| of the certificate at the bin [-], within (0, inf)
+    lpvg_real_t B_certificate[LPVG_NBINS][LPVG_NY];                ///< disturbance bound of the certificate at the bin [output unit], within (0, inf)
     lpvg_real_t pool_scale[LPVG_NSPEEDS][LPVG_NBINS][2][LPVG_NY];  ///< 1 / bounds of a pool's error and of its share of |yhat|, 0: no bound [1/output unit, -], within [0, inf)
     lpvg_real_t threshold;                                         ///< calibrated threshold of the frame test's statistic [-], within (0, inf)
 } lpvg_coeff_reals_t;

@@ -67,26 +67,26 @@ typedef struct lpvg_diagnosis_words_t {
     uint32_t schema;            ///< LPVG_DIAGNOSIS_SCHEMA
     uint32_t real_bytes;        ///< sizeof(lpvg_real_t)
     uint32_t sizes[1];          ///< LPVG_NY
-    uint32_t crc32;             ///< over all words and numbers, as in coeff.h
+    uint32_t crc32;             ///< CRC-32 over all words and numbers, as in coeff.h
     uint32_t sample_period_us;  ///< Ts [us], within [1, inf)
-    uint32_t blocks;            ///< of settled driving since an alarm, least to judge causes [blocks], within [8, 65536]
-    uint32_t stride;            ///< from one delay that is tried to the next [blocks], within [1, 4]
-    uint32_t cell_blocks;       ///< of a cell of the ring before the alarm [blocks], within [1, 65536]
+    uint32_t blocks;            ///< least number of settled blocks since an alarm to judge causes [blocks], within [8, 65536]
+    uint32_t stride;            ///< distance between two tried delays [blocks], within [1, 4]
+    uint32_t cell_blocks;       ///< length of a cell of the ring before the alarm [blocks], within [1, 65536]
 } lpvg_diagnosis_words_t;
 
 typedef struct lpvg_diagnosis_reals_t {
-    lpvg_real_t block_s;              ///< a block of LPVG_NBLOCK samples [s], within (0, inf)
-    lpvg_real_t unit[LPVG_NY][2];     ///< 1 / rms of yhat_j, and of its change over a block, on the bound-setting drives [1/output unit], within (0, inf)
-    lpvg_real_t spread[LPVG_NY][10];  ///< covariance of a healthy theta, by regressors over their sizes, the upper triangle row by row, positive definite [output unit squared]
-    lpvg_real_t correlated[LPVG_NY];  ///< variance of an estimate over one with a white residue [-], within (0, inf)
-    lpvg_real_t residue[LPVG_NY][2];  ///< largest mean square of a healthy residue: a constant, and a share of that of yhat_j [output unit squared; -], within (0, inf)
+    lpvg_real_t block_s;              ///< length of a block of LPVG_NBLOCK samples [s], within (0, inf)
+    lpvg_real_t unit[LPVG_NY][2];     ///< 1 / rms of yhat_j, and 1 / rms of its change over a block, on the drives that set the bounds [1/output unit], within (0, inf)
+    lpvg_real_t spread[LPVG_NY][10];  ///< covariance of a healthy theta, for regressors divided by their sizes: upper triangle row by row, positive definite [output unit squared]
+    lpvg_real_t correlated[LPVG_NY];  ///< ratio of an estimate's variance to its variance with a white residue [-], within (0, inf)
+    lpvg_real_t residue[LPVG_NY][2];  ///< largest mean square of a healthy residue: a constant, and a share of the mean square of yhat_j [output unit squared; -], within (0, inf)
     lpvg_real_t rough[LPVG_NY];       ///< largest mean square of healthy noise [output unit squared], within (0, inf)
-    lpvg_real_t still[LPVG_NY];       ///< mean square of dy_j over that of dyhat_j, below which the output is frozen [-], within (0, 1)
-    lpvg_real_t excited;              ///< mean square of yhat_j over its size, least to judge causes [-], within (0, 1)
-    lpvg_real_t fits;                 ///< largest misfit of a cause that explains, a chi-squared of 3 [-], within (0, inf)
-    lpvg_real_t margin;               ///< by which the next cause must be worse [-], within [0, inf)
+    lpvg_real_t still[LPVG_NY];       ///< the output is frozen below this ratio of the mean squares of dy_j and dyhat_j [-], within (0, 1)
+    lpvg_real_t excited;              ///< least mean square of yhat_j, divided by its size, to judge causes [-], within (0, 1)
+    lpvg_real_t fits;                 ///< largest misfit of an accepted cause: chi-squared with 3 degrees of freedom [-], within (0, inf)
+    lpvg_real_t margin;               ///< least difference in misfit to the second-best cause [-], within [0, inf)
     lpvg_real_t interval;             ///< half width of an interval in standard deviations [-], within (0, inf)
-    lpvg_real_t kept[LPVG_NY];        ///< share of the spread that one drive keeps, 0: unknown [-], within [0, 1)
+    lpvg_real_t kept[LPVG_NY];        ///< share of the spread that is constant within a drive; 0: unknown [-], within [0, 1)
 } lpvg_diagnosis_reals_t;
 
 typedef struct lpvg_diagnosis_table_t {

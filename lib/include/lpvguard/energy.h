@@ -1,16 +1,16 @@
 /// @file energy.h -- energy test: can *one* causal Delta of gain at most 1 explain all outputs, from rest until now?
 ///
 /// Class of model error (THEORY 4.1): e_j = Delta (W_delta yhat_j) + w_j. Delta is linear, time-invariant, causal and common to
-/// all outputs (S1). The forgetting norm is ||x||^2 = sum over t of rho^(2 (T - t)) x(t)^2 with rho < 1. On the left side rho may be
-/// less than on the right. F is any stable filter. Then, for every real vector a and at every time T,
+/// all outputs (S1). The forgetting norm is ||x||^2 = sum over t of rho^(2 (T - t)) x(t)^2 with rho < 1. The left side may have a
+/// smaller rho than the right side. F is any stable filter. Then, for every real vector a and at every time T,
 ///
 ///     || sum_j a_j F e_j || <= || sum_j a_j F W_delta yhat_j || + sum_j |a_j| sigma_j                         (T19)
 ///
-/// With one Delta_j and W_delta,j for each output (S1_diagonal, LPVG_NDELTA = LPVG_NY), no sum of outputs is bounded. Then a is a
+/// With one Delta_j and W_delta,j for each output (S1_diagonal, LPVG_NDELTA = LPVG_NY), only single outputs are bounded. Then a is a
 /// unit vector: ||F e_j|| <= ||F W_delta,j yhat_j|| + sigma_j.
 ///
-/// Assumptions: Delta is analytic with |Delta(z)| <= 1 for |z| >= rho of the right side. ||F w_j|| <= sigma_j at every T. Everything is
-/// at rest when the sums begin. The left sum may begin later. |Delta| <= 1 on the unit circle alone is not enough: a delay of n samples
+/// Assumptions: Delta is analytic with |Delta(z)| <= 1 for |z| >= rho of the right side. ||F w_j|| <= sigma_j at every T. All states
+/// are 0 when the sums begin. The left sum may begin later. |Delta| <= 1 on the unit circle alone is not enough: a delay of n samples
 /// has the gain rho^-n. A ratio of left to right side above 1 proves (W_delta, sigma) wrong for every such Delta. The alarm threshold is
 /// calibrated; it is at least 1 plus the rounding of float. Proof: THEORY 7.2.
 ///
@@ -22,8 +22,8 @@
 /// left no larger response. The transient of the model is not part of the proof.
 ///
 /// F is the filter of each of LPVG_NBANDS bands in turn: below the first corner, between each and the next, above the last (T21).
-/// The filters sum to 1, and each band has a sigma_j of its own. The memory is memory_s. Above the last corner the left side's memory is
-/// memory_s * f_first / f_last (T22).
+/// The filters sum to 1, and each band has its own sigma_j. The memory is memory_s. Above the last corner, the memory of the left side
+/// is memory_s * f_first / f_last (T22).
 ///
 /// The filter for W_delta is W_delta((2/Ts) (z/rho - 1) / (z/rho + 1)) (T20). `lpvguard identify` certifies its magnitude on
 /// |z| = rho to be above the identified bound. Directions a are in units of sigma with sum |a_j| = 1, so the last term is 1.
@@ -49,9 +49,9 @@ LPVG_EXTERN_C_BEGIN
 
 /// Forgetting sums of products in one band.                                               [output unit squared]
 typedef struct lpvg_energy_band_t {
-    lpvg_real_t left[LPVG_NGRAM];               ///< of F e_j [output unit squared]
-    lpvg_real_t right[LPVG_NGRAM];              ///< of F W_delta yhat_j [output unit squared]
-    lpvg_real_t nominal[LPVG_NGRAM];            ///< of F yhat_j [output unit squared]
+    lpvg_real_t left[LPVG_NGRAM];               ///< products of F e_j [output unit squared]
+    lpvg_real_t right[LPVG_NGRAM];              ///< products of F W_delta yhat_j [output unit squared]
+    lpvg_real_t nominal[LPVG_NGRAM];            ///< products of F yhat_j [output unit squared]
 } lpvg_energy_band_t;
 
 typedef struct lpvg_energy_t {

@@ -1,4 +1,4 @@
-/// @file findings.h -- present findings of an ECU, as trouble codes with a freeze frame. ecu.h fills them; j1939.h tells them.
+/// @file findings.h -- present findings of an ECU, as trouble codes with a freeze frame. ecu.h fills them; j1939.h reports them.
 #ifndef LPVGUARD_FINDINGS_H
 #define LPVGUARD_FINDINGS_H
 
@@ -21,7 +21,7 @@ typedef struct lpvg_j1939_freeze_t {
 
 /// Present findings. lpvg_ecu_findings of ecu.h fills it.
 typedef struct lpvg_j1939_findings_t {
-    lpvg_j1939_freeze_t freeze;                  ///< its sequence is ignored
+    lpvg_j1939_freeze_t freeze;                  ///< freeze frame; its sequence is ignored
     lpvg_can_dtc_t code[LPVG_J1939_CODES_MAX];   ///< most severe first; their occurrence is ignored
     uint8_t n_codes;                             ///< 0 .. LPVG_J1939_CODES_MAX
 } lpvg_j1939_findings_t;

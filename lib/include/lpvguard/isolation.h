@@ -58,27 +58,27 @@ typedef struct lpvg_isolation_words_t {
     uint32_t schema;                       ///< LPVG_ISOLATION_SCHEMA
     uint32_t real_bytes;                   ///< sizeof(lpvg_real_t)
     uint32_t sizes[6];                     ///< LPVG_NX, NU, NY, DELAY, NCELLS, NVARYING
-    uint32_t crc32;                        ///< over all words and numbers, as in coeff.h
+    uint32_t crc32;                        ///< CRC-32 over all words and numbers, as in coeff.h
     uint32_t sample_period_us;             ///< Ts [us], within [1, inf)
-    uint32_t window_us;                    ///< driving that a name rests on [us], within [1000000, 600000001)
-    uint32_t half;                         ///< half of a block [samples], within [1, 65536]
-    uint32_t parameters;                   ///< parameters of the model that tyres and load change, within [0, 2]
-    uint32_t parts;                        ///< parts that can be named, within [1, NY + NU + 2]
-    uint32_t part[LPVG_NY + LPVG_NU + 3];  ///< part of each output, input, of the speed and each parameter, within [0, parts)
+    uint32_t window_us;                    ///< length of a window [us], within [1000000, 600000001)
+    uint32_t half;                         ///< length of half a block [samples], within [1, 65536]
+    uint32_t parameters;                   ///< number of model parameters that tyres and load change, within [0, 2]
+    uint32_t parts;                        ///< number of parts that can be named, within [1, NY + NU + 2]
+    uint32_t part[LPVG_NY + LPVG_NU + 3];  ///< index of the part of each output, each input, the speed and each parameter, within [0, parts)
 } lpvg_isolation_words_t;
 
 typedef struct lpvg_isolation_reals_t {
     lpvg_real_t period_s;                                ///< Ts [s], within (0, inf)
-    lpvg_real_t lags[3][LPVG_NY][LPVG_NY];               ///< autoregression of the residue [-]
-    lpvg_real_t white[LPVG_NY][LPVG_NY];                 ///< by which its innovation has unit covariance [1/output unit]
-    lpvg_real_t mean[5 * (LPVG_NY + LPVG_NU) + 3];       ///< of healthy sizes [sizes]
-    lpvg_real_t spread[5 * (LPVG_NY + LPVG_NU) + 3];     ///< of healthy sizes, a standard deviation [sizes], within [0, inf)
-    lpvg_real_t fault[5 * (LPVG_NY + LPVG_NU) + 3];      ///< of faulty sizes, likewise [sizes], within [0, inf)
-    lpvg_real_t power[LPVG_NY];                          ///< power of the measured speed that an output holds [-]
-    lpvg_real_t base[2][LPVG_NENTRIES];                  ///< as in coeff.h, of a parameter that is 2 % larger
-    lpvg_real_t cell[2][LPVG_NCELLS][LPVG_NVARYING][4];  ///< likewise
-    lpvg_real_t scale;                                   ///< by which log-likelihoods are divided [-], within [1, inf)
-    lpvg_real_t least;                                   ///< log-odds against a healthy vehicle of a window that differs [-], within [0, inf)
+    lpvg_real_t lags[3][LPVG_NY][LPVG_NY];               ///< autoregression coefficients of the residue [-]
+    lpvg_real_t white[LPVG_NY][LPVG_NY];                 ///< matrix that gives the innovation of the residue unit covariance [1/output unit]
+    lpvg_real_t mean[5 * (LPVG_NY + LPVG_NU) + 3];       ///< mean of the healthy sizes [sizes]
+    lpvg_real_t spread[5 * (LPVG_NY + LPVG_NU) + 3];     ///< standard deviation of the healthy sizes [sizes], within [0, inf)
+    lpvg_real_t fault[5 * (LPVG_NY + LPVG_NU) + 3];      ///< standard deviation of the faulty sizes [sizes], within [0, inf)
+    lpvg_real_t power[LPVG_NY];                          ///< exponent of the measured speed in an output [-]
+    lpvg_real_t base[2][LPVG_NENTRIES];                  ///< `base` of coeff.h for a parameter that is 2 % larger
+    lpvg_real_t cell[2][LPVG_NCELLS][LPVG_NVARYING][4];  ///< `cell` of coeff.h for that parameter
+    lpvg_real_t scale;                                   ///< divisor of the log-likelihoods [-], within [1, inf)
+    lpvg_real_t least;                                   ///< least log-odds of a differing window against a healthy vehicle [-], within [0, inf)
     lpvg_real_t lack;                                    ///< largest misfit of the best part in a healthy window [-], within [0, inf)
 } lpvg_isolation_reals_t;
 

@@ -9,7 +9,7 @@
 #define LPVG_NODISCARD
 #endif
 
-/// Zero is success. Every other value says which input was refused. The values never change between versions.
+/// Zero is success. Every other value tells which input was refused. The values never change between versions.
 typedef enum lpvg_status_t {
     lpvg_status_ok = 0,
     lpvg_status_bad_argument = 1,    ///< A pointer is NULL, or a setting is outside its stated range; nothing was changed.

@@ -52,7 +52,7 @@ def test_signals_behind_a_wrong_head_go_to_no_other_message(head):
 def test_the_range_of_a_signed_signal_is_taken_before_its_type(tmp_path):
     angle = ' SG_ ANGLE : 0|16@1+ (0.1,0) [-3276.8|3276.7] "deg" A\n'
     (tmp_path / "car.dbc").write_text(HEAD + "BO_ 37 STEER: 8 A\n" + angle)
-    with pytest.warns(InputWarning, match=r"car.dbc: STEER.ANGLE: read as signed, as the range says"):
+    with pytest.warns(InputWarning, match="STEER.ANGLE: read as signed because of the stated range"):
         database = load_database(tmp_path / "car.dbc")
     assert database.messages[0].signals[0].is_signed
 

@@ -106,9 +106,7 @@ def test_a_message_on_two_channels_asks_for_one(logs, tmp_path):
 
 def test_an_identifier_of_29_bits_without_its_flag_is_read_and_named(tmp_path):
     (tmp_path / "car.dbc").write_text(DBC.replace("BO_ 257 YAW", "BO_ 316495015 YAW"))
-    with pytest.warns(
-        InputWarning, match="line 13: BO_ 316495015 YAW: 8 A: read as an identifier of 29 bits"
-    ):
+    with pytest.warns(InputWarning, match="line 13: BO_ 316495015 YAW: 8 A: read as a 29-bit identifier"):
         database = load_database(tmp_path / "car.dbc")
     yaw = database.get_message_by_name("YAW")
     assert yaw.is_extended_frame and yaw.frame_id == 316495015 and len(database.messages) == 3

@@ -100,11 +100,11 @@ def test_the_certificate_is_proved_anew_and_an_altered_coefficient_is_refused(st
     )
     with pytest.raises(InputError, match="seal: does not fit"):
         stage.verify(tmp_path / "controller.json", stored)
-    with pytest.raises(InputError, match=r"u_max: .* of the project's limits"):
+    with pytest.raises(InputError, match=r"u_max: .* from the project's limits"):
         stage.verify(path, with_settings(stored, lateral_acceleration_max_mps2=5.0))
     flat = {**document, "u_max": np.ravel(document["u_max"]).tolist()}  # the same bytes in another shape
     (tmp_path / "controller.json").write_text(artefacts.to_json(artefacts.sealed(flat)))
-    with pytest.raises(InputError, match=r"u_max: .* of the project's limits"):
+    with pytest.raises(InputError, match=r"u_max: .* from the project's limits"):
         stage.verify(tmp_path / "controller.json", stored)
     # With a sum that fits, the proof is what refuses.
     changed = np.array(document["a"])

@@ -486,12 +486,12 @@ def _rest(log: Frames) -> tuple:
         (
             {"yaw_rate": {"message": "MUXED", "signal": "YAW"}},
             {"MUXED": {"counter": "SELECT"}},
-            "YAW: multiplexed in a message with a counter",
+            "YAW: is multiplexed in a message with a counter",
         ),
         (
             {"yaw_rate": {"message": "MUXED", "signal": "YAW", "plus": ["ROLL"]}},
             {},
-            "YAW, ROLL: are in no frame together",
+            "YAW, ROLL: are never in the same frame",
         ),
         ({"yaw_rate": {"message": "RATE", "signal": "YAW", "factor": 0.0}}, {}, "factor must not be 0"),
         ({}, {"RATES": {"period_ms": 10}}, "can.messages: RATES named by no signal"),

@@ -21,13 +21,13 @@ DIMENSIONS = {
     "NWEIGHT": "sections of the filter W_delta",
     "NDIRECTIONS": "directions of the energy test's fan",
     "NBANDS": "bands of the energy test, one more than its corners",
-    "NDELTA": "blocks Delta of the uncertainty: 1, common to all outputs, or NY, one an output",
+    "NDELTA": "blocks Delta of the uncertainty: 1 common block, or NY blocks, one for each output",
     "NK": "states of one demand of the controller",
     "NM": "measurements: the reference, then the outputs",
     "NG": "nodes of the controller's speed grid",
 }
-"""Dimension -> meaning, in the order of LPVG_<name> in lpvguard_vehicle.h. Those of a controller are 0
-without one."""
+"""Dimension -> meaning, in the order of LPVG_<name> in lpvguard_vehicle.h. The dimensions of a controller
+are 0 without a controller."""
 
 CONSTANTS = {
     "NENTRIES": (
@@ -36,22 +36,24 @@ CONSTANTS = {
         "other.",
     ),
     "NHISTORY": ("8", "Largest m of the k-of-m confirmation."),
-    "NPOOL": ("(6 / NY)", "Parts of a pool of frames; the newest part grows while the oldest is dropped."),
-    "NSPEEDS": ("3", "Equal parts of the scheduling range, each with bounds of pools of its own."),
-    "NBLOCK": ("4", "Samples that a bin takes up at once, a power of two."),
+    "NPOOL": (
+        "(6 / NY)",
+        "Number of parts of a pool of frames; the newest part grows while the oldest is dropped.",
+    ),
+    "NSPEEDS": ("3", "Number of equal parts of the scheduling range, each with its own bounds of pools."),
+    "NBLOCK": ("4", "Number of samples that a bin processes at once, a power of two."),
     "NPARTS": (
         "(2 - (NDELTA / NY))",
-        "Pushes over which the judgement of a frame is spread: 1 where every output has a Delta of its own, "
-        "else 2.",
+        "Number of pushes for the judgement of a frame: 1 if every output has its own Delta, otherwise 2.",
     ),
     "NLATENCY": (
         "(NBLOCK - 1 + (NBINS / 2) + (NPARTS * NBINS))",
-        "Samples from the end of a frame to its judgement, at most: the block, the pushes that close several "
-        "frames, and the queue.",
+        "Largest number of samples from the end of a frame to its judgement: the block, the pushes that "
+        "close several frames, and the queue.",
     ),
 }
-"""Fixed sizes and sizes made of dimensions: C macro LPVG_<name> of coeff.h, and its comment. Division is that
-of whole numbers."""
+"""Fixed and computed sizes: C macro LPVG_<name> of coeff.h, with its comment. Divisions are integer
+divisions."""
 
 
 @dataclass(frozen=True)

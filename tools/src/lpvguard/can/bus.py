@@ -136,7 +136,7 @@ def _report_message(project: Project, catalogue: Catalogue, where: str) -> Messa
             where,
             f"signal {project.inputs[0].name}",
             f"{demand.message}.{demand.signal}",
-            "one input, sent by ourselves as dp_demand with factor 1",
+            "one input, which our message sends as dp_demand with factor 1",
         )
     return report
 

@@ -85,7 +85,7 @@ def read_sound_lines(text: str) -> tuple[Database, list[str]]:
     sentences += [
         (
             number,
-            f"line {number}: {line.strip()[:80]}: read as an identifier of 29 bits, though its flag lacks",
+            f"line {number}: {line.strip()[:80]}: read as a 29-bit identifier, although the flag is missing",
         )
         for number, line in corrected
     ]

@@ -74,7 +74,7 @@ def load_database(path: Path) -> Database:
         expected = "a CAN database" + " (pip install 'canmatrix[xls,xlsx]' reads sheets)" * is_sheet
         raise InputError(path, "", f"cannot be read ({str(error).splitlines()[0]})", expected) from None
     if not isinstance(database, Database):
-        raise InputError(path, "--dbc", "describes diagnostics, no messages", "a CAN database")
+        raise InputError(path, "--dbc", "describes diagnostics but no messages", "a CAN database")
     return _with_signs(database, path)
 
 
@@ -136,7 +136,7 @@ def _with_signs(database: Database, path: Path) -> Database:
     if signed:
         more = f" and {len(signed) - _NAMED} more" if len(signed) > _NAMED else ""
         warnings.warn(
-            f"{path}: {', '.join(signed[:_NAMED])}{more}: read as signed, as the range says and not the type",
+            f"{path}: {', '.join(signed[:_NAMED])}{more}: read as signed because of the stated range",
             InputWarning,
             stacklevel=1,
         )
@@ -167,7 +167,7 @@ def contradicting_range(signal: Signal) -> str:
     if (least > low + room and most > high + room) or (least < low - room and most < high - room):
         return (
             f"signal {signal.name}: the database's range [{least:g}|{most:g}] contradicts its bits, which "
-            f"reach from {low:g} to {high:g}; it is set aside"
+            f"reach from {low:g} to {high:g}; the range is ignored"
         )
     return ""
 
@@ -259,7 +259,7 @@ def find_frames(
             where,
             message.name,
             "is on the channels " + " and ".join(frames.channels[c] for c in present),
-            "--channel, or channel in the signal map, to say which",
+            "--channel, or channel in the signal map, that chooses one",
         )
     return np.flatnonzero(matching)
 
@@ -277,7 +277,7 @@ def _j1939(frames: Frames, message, source_address: int | None, where: str) -> n
                 where,
                 message.name,
                 "comes from the source addresses " + ", ".join(f"{a:#04x}" for a in present),
-                "source_address in the signal map, to say which",
+                "source_address in the signal map, that chooses one",
             )
         return of_group
     return of_group & (sender == address)

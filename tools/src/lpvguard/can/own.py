@@ -318,12 +318,12 @@ def _multiplex(
         raise InputError(
             where,
             what,
-            "are in no frame together",
-            "signals of one multiplex, whose selector is not in another",
+            "are never in the same frame",
+            "signals of one multiplex whose selector is not itself multiplexed",
         )
     if counted:
         raise InputError(
-            where, what, "multiplexed in a message with a counter", "a message without a counter"
+            where, what, "is multiplexed in a message with a counter", "a message without a counter"
         )
     return selector, tuple(sorted(selected))
 

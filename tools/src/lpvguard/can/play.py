@@ -150,7 +150,7 @@ def values_of_drive(project, drive) -> dict[tuple[str, str], np.ndarray]:
         raise InputError(
             f"vehicle {project.name}",
             "can",
-            "the car's own bus, which is only read",
+            "is on the car's own bus, which is only read",
             "a raw log, or a vehicle on the bus of the CAN catalogue",
         )
     columns = [

@@ -76,7 +76,7 @@ class PresentController:
                 path,
                 "structure, Ts_s, inputs, outputs, speeds",
                 f"are {', '.join(map(str, is_of))}",
-                f"{', '.join(map(str, want))}, those of {project.name}",
+                f"{', '.join(map(str, want))} of {project.name}",
             )
         return cls(document, schedule, stated_scaling(document))
 

@@ -545,7 +545,7 @@ def verify(
         raise InputError(
             path,
             "certificates.coefficients_sha256",
-            "not that of speeds, a, B, L and u_max",
+            "differs from the hash of speeds, a, B, L and u_max",
             "the coefficients that were certified",
         )
     require_premise(stored)
@@ -569,12 +569,12 @@ def _require_settings(
     for key in ("A_t", "A_u"):
         if stated[key] != getattr(settings, key):
             raise InputError(
-                path, f"certificates.{key}", repr(stated[key]), f"{getattr(settings, key)!r}, the project's"
+                path, f"certificates.{key}", repr(stated[key]), f"{getattr(settings, key)!r} of the project"
             )
     limits = _input_limits(problem, schedule)
     if not _limited_by(schedule, limits):
         raise InputError(
-            path, "u_max", f"{schedule.u_max.tolist()}", f"{limits.tolist()}, of the project's limits"
+            path, "u_max", f"{schedule.u_max.tolist()}", f"{limits.tolist()} from the project's limits"
         )
 
 
@@ -589,14 +589,14 @@ def _require_floor(path: Path, stated: dict, floor: float) -> None:
                 path,
                 "certificates.largest_A_t",
                 f"A_t {largest['A_t']:.6g} with mu {largest['worst']:.6g}, failed {largest['failed']:.6g}",
-                f"mu below 1, and A_t below one that failed, up to {1 / floor:.6g}",
+                f"mu below 1, and A_t below the failed A_t and at most {1 / floor:.6g}",
             )
     for name, (value, want) in recomputed.items():
         same = (
             value is None if np.isnan(want) else value is not None and abs(value - want) <= FLOOR_RTOL * want
         )
         if not same:
-            raise InputError(path, f"certificates.{name}", f"{value}", f"{want:.9g}, of these weights")
+            raise InputError(path, f"certificates.{name}", f"{value}", f"{want:.9g} for these weights")
 
 
 def _compare(
@@ -627,7 +627,7 @@ def _compare(
             path,
             f"certificate at {v:g} m/s, peak_rad_s",
             f"the gain at {row['peak_rad_s']:.6g} rad/s is {at_peak:.6g}",
-            f"{row['mu_upper']:.6g}, the peak's",
+            f"the stated mu {row['mu_upper']:.6g}",
         )
 
 

@@ -54,15 +54,15 @@ class FrozenProblem:
             raise InputError(
                 stored.folder,
                 "bounds.structure",
-                f"{stored.project.bounds.structure}: {len(stored.fitted.W_delta)} Deltas, one an output",
-                "S0 or S1: Table II and the trade-off compare structures with one Delta",
+                f"{stored.project.bounds.structure}: {len(stored.fitted.W_delta)} Deltas, one per output",
+                "S0 or S1, because Table II and the trade-off need one Delta",
             )
         if not compared(stored):
             raise InputError(
                 stored.folder,
                 "signals",
                 f"{stored.project.n_u} input(s) and {stored.project.n_y} output(s)",
-                "one input and two outputs: Table II and the trade-off compare structures of that vehicle",
+                "one input and two outputs, because Table II and the trade-off need them",
             )
         self.problem = DesignProblem.from_identification(stored)
         self.stored, self.frames, self.settings = stored, frames, self.problem.settings

@@ -113,7 +113,7 @@ class DesignProblem:
             raise InputError(
                 stored.folder,
                 "design.structure",
-                f"K_is: these frames find the state's uncertainty with a median "
+                f"K_is: these frames determine the state uncertainty with a median "
                 f"error of {error[worst]:.0%} at {omega:.3g} rad/s",
                 f"K_i, or frames whose error is at most {LARGEST_WINDOW_ERROR:.0%}: "
                 'the plain DFT, frames.estimator = "dft"',
@@ -140,13 +140,13 @@ class DesignProblem:
                 stored.folder,
                 "bounds.structure",
                 f"{stored.project.bounds.structure} with design.structure = {settings.structure}",
-                "S1_diagonal with K_o, S1 with K_i or K_is: one uncertainty for bounds and design",
+                "S1_diagonal with K_o, or S1 with K_i or K_is: the same uncertainty for bounds and design",
             )
         if not fitted.W_C:
             raise InputError(
                 stored.folder,
                 "W_C",
-                "missing: identified without a [design] table",
+                "missing, because the identification had no [design] table",
                 "`lpvguard identify` again with this project file",
             )
         W_w, W_delta_i, W_delta_s = (

@@ -151,7 +151,7 @@ def require_slowness(
         raise InputError(
             path,
             "certificates.slow_delta.nodes",
-            "rows at other speeds than the nodes",
+            "the speeds of the rows are not the nodes",
             "one row for each node",
         )
     rates = [row["performance_rate"] for row in nodes], [row["stability_rate"] for row in nodes]
@@ -167,7 +167,7 @@ def require_slowness(
         same = value is want if value is None or want is None else np.isclose(value, want, rtol=1e-9, atol=0)
         if not same:
             raise InputError(
-                path, f"certificates.slow_delta.{name}", f"{value}", f"{want}, of nodes and frames"
+                path, f"certificates.slow_delta.{name}", f"{value}", f"{want} from nodes and frames"
             )
     stated_nodes = zip(nodes, _closed(problem, schedule), strict=True)
     for _ in counted(
@@ -195,7 +195,7 @@ def _require_node(
             raise InputError(
                 path,
                 f"certificates.slow_delta at {v:g} m/s, {part}",
-                f"the level is {level:.7g}, stated as {stated_level:.7g}",
+                f"the level is {level:.7g} when proved again, not {stated_level:.7g}",
                 "the rate, constants, coefficients and weights that were certified, and a level below 1",
             )
 

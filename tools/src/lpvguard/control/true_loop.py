@@ -101,7 +101,7 @@ def require_certified_by_W_delta(stored: StoredIdentification) -> None:
         raise InputError(
             f"vehicle {stored.project.name}",
             "design.structure",
-            f"{structure}, whose certificate is not about W_delta alone",
+            f"{structure}: its certificate needs more than W_delta",
             "K_i or K_o",
         )
 
@@ -242,7 +242,7 @@ class CertifiedLoop:
         return self.model.frequency_response(omega, v)[..., 0]
 
     def _controller(self, v: float) -> StateSpace:
-        """Controller at speed v [m/s]; raise InputError if it is unstable, because Nyquist's count fails."""
+        """Controller at speed v [m/s]; raise InputError for an unstable one (Nyquist's condition)."""
         K = self.schedule.at(v)
         if K.stability_margin() <= 0:
             raise InputError("controller", f"v = {v:g} m/s", "has an unstable pole", "stable poles")

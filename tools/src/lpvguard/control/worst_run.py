@@ -106,7 +106,7 @@ def nearest_drive(drives: DriveSet, speed: float) -> tuple[Drive, np.ndarray]:
             best = abs(drive.v[settled].mean() - speed), drive, e
     if best is None:
         raise InputError(
-            "Fig. 6", "drives", "none within the model's speed range", f"a drive near {speed:g} m/s"
+            "Fig. 6", "drives", "no drive within the model's speed range", f"a drive near {speed:g} m/s"
         )
     return best[1:]
 

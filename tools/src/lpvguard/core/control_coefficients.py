@@ -264,14 +264,14 @@ def control_files(project: Project, controller: ControllerCoefficients) -> dict[
             f"{project.n_y + 1} (reference and outputs) and {project.n_u}",
         )
     if round(controller.Ts_s * 1e6) != round(project.Ts_s * 1e6):
-        raise InputError(where, "Ts_s", f"{controller.Ts_s:g}", f"{project.Ts_s:g}, the vehicle's")
+        raise InputError(where, "Ts_s", f"{controller.Ts_s:g}", f"{project.Ts_s:g} of the vehicle")
     ends = (project.model.speed_min_mps, project.model.speed_max_mps)
     if not np.allclose((controller.speeds[0], controller.speeds[-1]), ends, rtol=1e-9):
         raise InputError(
             where,
             "speeds",
             f"{controller.speeds[0]:g} to {controller.speeds[-1]:g} m/s",
-            f"{ends[0]:g} to {ends[1]:g} m/s, the model's range",
+            f"the model's range, {ends[0]:g} to {ends[1]:g} m/s",
         )
     files = {"lpvguard_control.c": coefficient_source(controller)}
     if sends_demand(project):

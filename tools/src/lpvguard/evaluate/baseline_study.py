@@ -184,7 +184,7 @@ class BaselineStudy:
         return Bank(model, estimator, scales, sizes).prepared(GRID)
 
     def _over(self, task: Callable, items: list[tuple], what: str) -> dict:
-        """Results of ``task``, keyed by the name of the experiment at the start of each item."""
+        """Run ``task`` on each item; return the results by the name of the item's experiment."""
         results = {}
         mapped = self.workers(partial(task, self.reader, self.bank), items)
         for (experiment, *_), result in zip(items, mapped, strict=False):

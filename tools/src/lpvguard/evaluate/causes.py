@@ -7,8 +7,8 @@ from half of it counts.
 
 **Known** faults have one cause: gain, sign, frozen, bias, delay. The judgement of an output is "right" if the
 core names this cause, "other" if it names no single cause, and "wrong" otherwise. An interval should hold the
-fault's mean size from the alarm to the diagnosis. A ramp counts with the share that it has reached. A delayed
-input is a negative delay, because the output is then earlier than the model's.
+fault's mean size from the alarm to the diagnosis. The size of a ramp is the size that it has reached so far.
+A delayed input is a negative delay, because the output is then earlier than the model's.
 
 Faults of `no_single_cause` are two simultaneous faults, a dead zone, or a saturating output. The answer
 "other" is right for them. A gain is also right if its interval holds the equivalent gain. This is the

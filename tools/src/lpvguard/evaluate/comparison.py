@@ -264,7 +264,7 @@ def duels(monitor: list[dict], baselines: list[dict]) -> list[dict]:
 
 
 def _together(rows: list[dict]) -> list[dict]:
-    """One row per fault, with the starts of all its ways."""
+    """Make one row per fault; it combines the starts of all ways in which the fault begins."""
     faults: dict[str, list[dict]] = {}
     for row in rows:
         faults.setdefault(row["fault"], []).append(row)

@@ -253,7 +253,7 @@ def with_refutable(cases: Outcomes, known: Outcomes) -> Outcomes:
 
 
 def fault_rows(cases: Outcomes) -> list[dict]:
-    """One row per case, in the order of ``cases``.
+    """Make one row per case, in the order of ``cases``.
 
     A row counts found and all outcomes, all drives, and the drives with the fault found from every start. It
     counts the outcomes whose untouched drive alarms in the time allowed, and has the median time [s]. It

@@ -116,8 +116,8 @@ class Receiver:
     def receive(self, frames: Frames, where: str | Path, *, channel: str | None = None) -> Received:
         """Sample a log.
 
-        Raises InputError when the log holds no needed message. It also does when they come from several
-        channels and none was chosen.
+        Raises InputError if the log holds no needed message. Raises it also if the messages come from several
+        channels and ``channel`` chooses none.
         """
         frames, ours = self._one_channel(frames.of_channel(channel, where), where)
         fastest = min(m.period_ms for m in self.needed) * 1000

@@ -99,7 +99,7 @@ def numbers_of(
     except ValueError:
         values = []
     if not values or not all(map(good, values)):
-        raise InputError(f"bench {bench}", option, repr(text), f"{expected}, comma between")
+        raise InputError(f"bench {bench}", option, repr(text), f"{expected}, separated by commas")
     return values
 
 

@@ -91,7 +91,7 @@ def main(argv: list[str]) -> None:
     if not document["certificates"]["scaling_log_parameters"]:
         raise InputError(path, "structure", "a design without Delta", "K_i or K_o")
     if document["certificates"]["structure"] == "K_is":
-        raise InputError(path, "structure", "K_is", "K_i or K_o: the search is over scalar Delta")
+        raise InputError(path, "structure", "K_is", "K_i or K_o, because the search only varies scalar Delta")
     trials = Trials(stored, document, options.samples, options.seed)
     claims = claim_rows(trials, options.loops)
     rates = [] if options.no_search else rate_rows(trials)

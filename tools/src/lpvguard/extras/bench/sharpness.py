@@ -1,4 +1,4 @@
-"""Compare the model error band with known true errors: does it contain the vehicle, and is it sharp?
+"""Compare the model error band with known true errors: does the band contain the error, and is it narrow?
 
 Every set draws 5 to 40 drives of 60 to 150 s from a car with a known error (`_known_cars`). It estimates the
 band of a further drive only from these drives. In the first table, all drives of a set have the same car. Two

@@ -14,7 +14,7 @@ MAGIC, SCHEMA = 0x4546494C, 1
 
 
 def padded(table: LifeTable) -> tuple[np.ndarray, np.ndarray]:
-    """Levels (LEVELS,) and factors (LEVELS + 1, bets) in the core's sizes, float32, padded with 0."""
+    """Pad levels (LEVELS,) and factors (LEVELS + 1, bets) with 0 to the core's sizes, as float32."""
     levels = np.zeros(LEVELS, np.float32)
     factors = np.zeros((LEVELS + 1, len(POWERS)), np.float32)
     levels[: len(table.levels)] = table.levels

@@ -467,7 +467,7 @@ class Simulator:
 def _joining(bus: str, program: Path) -> Path:
     """Return ``program`` for a separate process; raise InputError if no process can join ``bus``."""
     if not bus.startswith("socketcan:"):
-        raise InputError(bus, "bus", "joins nothing outside the simulator", "socketcan:INTERFACE")
+        raise InputError(bus, "bus", "has no other process", "socketcan:INTERFACE")
     return program
 
 

@@ -98,7 +98,7 @@ class PublicFile(StrictModel):
     def _stays_below(self) -> PublicFile:
         for path in (self.name, self.path):
             if not _plain(path):
-                raise ValueError(f"{path} is no path below a folder")
+                raise ValueError(f"{path} is not a path below a folder")
         return self
 
 

@@ -35,7 +35,7 @@ def _severity(c: dict, row: dict) -> str:
 
 
 def _level(severity: dict) -> str:
-    """Text with the upper bound of mu of the faulted loop, or that the loop is unstable."""
+    """State the upper bound of mu of the loop with the fault, or state that the loop is unstable."""
     return number(severity["mu_upper"]) if severity["loop_stable"] else "unstable"
 
 

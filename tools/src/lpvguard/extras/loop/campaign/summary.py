@@ -41,9 +41,10 @@ def summarise(
 
     ``severities``, ``kinds``, ``average`` and ``visible`` concern faults of the truck with their first way.
     ``bus`` concerns faults of the bus. ``ways`` concerns faults that begin in several ways. ``matched`` holds
-    thresholds for equal false alarms. With them, at most a share alpha of the runs within the bounds alarms.
-    The same holds for the faulty runs before their fault. With enough runs for alpha (``matched_stated``),
-    all detectors then have equal false alarms in the loop. ``matched_claim`` says so, or says "counts only".
+    thresholds for equal false alarms. At these thresholds, at most a share alpha of the runs within the
+    bounds has an alarm. The same holds for the faulty runs before their fault. With enough runs for alpha
+    (``matched_stated``), all detectors then have equal false alarms in the loop. ``matched_claim`` says so,
+    or says "counts only".
     """
     rows = table.to_pylist()
     kinds = {k.name: k for k in faults.KINDS}

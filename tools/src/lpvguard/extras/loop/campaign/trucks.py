@@ -49,9 +49,9 @@ class Distance:
     """Distance of a truck from the nominal model.
 
     ``ratio`` is the largest |delta_j| / W_delta,j. The measurement ends when the ratio exceeds 1. A ratio
-    above 1 is therefore a lower bound. ``output``, ``omega_radps``, ``speed_mps`` and ``amplitude_bar`` are
-    its place. ``least_gain`` is the least |G_1/P_1| of a truck within the bounds, at the largest amplitude,
-    up to the highest frequency of a command.
+    above 1 is therefore a lower bound. ``output``, ``omega_radps``, ``speed_mps`` and ``amplitude_bar`` tell
+    where this ratio occurs. ``least_gain`` is the least |G_1/P_1| of a truck within the bounds, at the
+    largest amplitude, up to the highest frequency of a command.
     """
 
     ratio: float
