@@ -49,8 +49,9 @@ def test_signals_behind_a_wrong_head_go_to_no_other_message(head):
     assert [text.split(": ")[2][:6].strip() for text in said] == [head[:6].strip(), "SG_ X"]
 
 
-def test_the_range_of_a_signed_signal_is_taken_before_its_type(tmp_path):
-    angle = ' SG_ ANGLE : 0|16@1+ (0.1,0) [-3276.8|3276.7] "deg" A\n'
+@pytest.mark.parametrize("stated", ["-3276.8|3276.7", "-780|780"])
+def test_the_range_of_a_signed_signal_is_taken_before_its_type(tmp_path, stated):
+    angle = f' SG_ ANGLE : 0|16@1+ (0.1,0) [{stated}] "deg" A\n'
     (tmp_path / "car.dbc").write_text(HEAD + "BO_ 37 STEER: 8 A\n" + angle)
     with pytest.warns(InputWarning, match="STEER.ANGLE: read as signed because of the stated range"):
         database = load_database(tmp_path / "car.dbc")
@@ -65,6 +66,12 @@ def test_a_form_that_cantools_does_not_read_is_read_by_canmatrix(tmp_path):
     signals = {s.name: s for m in load_database(tmp_path / "car.dbf").messages for s in m.signals}
     assert set(signals) == {"V", "GEAR", "RATE", "OK"}
     assert signals["RATE"].is_signed and signals["RATE"].scale == 0.01 and signals["V"].unit == "km/h"
+
+
+def test_messages_of_one_identifier_are_named(tmp_path):
+    (tmp_path / "car.dbc").write_text(HEAD + SPEED + SPEED.replace("253 SPEED", "253 AGAIN"))
+    with pytest.warns(InputWarning, match="messages SPEED and AGAIN have one identifier, 0xfd: each is read"):
+        load_database(tmp_path / "car.dbc")
 
 
 def test_a_signal_of_a_thousand_bits_is_no_reason_to_refuse_a_database(tmp_path):

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lpvguard.base.errors import InputError
+from lpvguard.base.errors import InputError, InputWarning
 from lpvguard.can.logs import Table, logs_among, read_log
 from lpvguard.start.signals import ROLES, ranked
 
@@ -165,7 +165,7 @@ def test_px4s_ulog_is_read(tmp_path):
     assert ranked("output", read.series) == ["vehicle_angular_velocity.xyz[2]"]
 
 
-def test_ardupilots_dataflash_is_read(tmp_path):
+def test_ardupilots_dataflash_is_read(tmp_path, capsys):
     """Written by hand after ArduPilot's definition of the form: pymavlink reads it only."""
     pytest.importorskip("pymavlink")
 
@@ -179,6 +179,11 @@ def test_ardupilots_dataflash_is_read(tmp_path):
         data += b"\xa3\x95\x81" + struct.pack("<Qff", t // 1000, 0.0, r)
     (tmp_path / "drive.bin").write_bytes(data)
     read = read_log(tmp_path / "drive.bin")
+    position = defined(130, 15, "GPS", "Qf", "TimeUS,Spd") + b"\xa3\x95\x82" + struct.pack("<Qf", 10**6, 5.0)
+    (tmp_path / "damaged.bin").write_bytes(data + position)  # a GPS message without the week
+    with pytest.warns(InputWarning, match="damaged.bin: pymavlink calls [1-9][0-9]* messages damaged"):
+        assert set(read_log(tmp_path / "damaged.bin").series) > set(read.series)
+    assert capsys.readouterr().out == ""
     assert read.series["IMU.GyrZ"].t_ns.tolist() == T
     np.testing.assert_allclose(read.series["IMU.GyrZ"].value, YAW, atol=1e-7)
     assert ranked("output", read.series) == ["IMU.GyrZ"]

@@ -101,4 +101,7 @@ def test_samples_that_stand_alone_are_left_out_and_named(tmp_path):
     assert np.abs(read - r).max() < 0.02
     absent = np.where((t > 20) & (t < 20.3), -999.0, r)
     assert standing_alone(absent).sum() == 14
+    absent[(t > 30) & (t < 36)], absent[(t > 40) & (t < 50)] = 655.35, 655.34  # and 27 % more
+    assert standing_alone(absent).sum() == 14 + 299 + 499
+    assert standing_alone(-absent).sum() == 14 + 299 + 499
     assert not standing_alone(np.round(r, 2)).any() and not standing_alone(np.zeros(50)).any()

@@ -1,6 +1,7 @@
 """Units by evidence: cars whose units are known are read right, or the user is asked. Counted."""
 
 import os
+import warnings
 from collections import Counter
 from itertools import product
 from pathlib import Path
@@ -9,7 +10,7 @@ import numpy as np
 import pytest
 
 from known_car import KnownCar
-from lpvguard.base.errors import InputError
+from lpvguard.base.errors import InputError, InputWarning
 from lpvguard.can.logs import read_log
 from lpvguard.drives.unit_names import units_in_name
 from lpvguard.drives.units import unit_factor
@@ -109,6 +110,17 @@ def test_a_measured_minute_in_five_systems_of_units_is_read_right_or_asked_about
     systems += [("mph", "deg", "deg/s"), ("km/h", "rad", "rad/s")]
     said = [outcome(in_units(minute, units, 1.0), units, 16.9, Known("car", 2.66)) for units in systems]
     assert set(said) <= {"right", "asked"}, said
+
+
+def test_a_stated_unit_that_makes_an_unusual_ratio_is_doubted():
+    """A speed in m/s that is said to be in mph looks like another ratio, and is not taken in silence."""
+    logs = in_units(recordings(CARS["saloon"][0], SPEEDS["country"]), ("m/s", "deg", "deg/s"), 20.0)
+    stated = {"speed": "mph", "input": "deg", "output": "deg/s"}
+    with pytest.warns(InputWarning, match=r"a steering ratio of [\d.]+:1 is unusual for a car"):
+        proposed(logs, {}, Known("car", 2.8), stated)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        proposed(logs, {}, Known("car", 2.8), stated | {"speed": "m/s"})
 
 
 def test_going_backwards_with_a_speed_without_sign_turns_no_sign():

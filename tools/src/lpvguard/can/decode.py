@@ -69,12 +69,14 @@ def load_database(path: Path) -> Database:
     except Exception as error:  # one exception class for each form of database
         sound = _sound_dbc(Path(path)) or _by_canmatrix(Path(path))
         if sound is not None:
+            _name_shared_identifiers(sound, path)
             return _with_signs(sound, path)
         is_sheet = path.suffix.lower() in (".xls", ".xlsx")
         expected = "a CAN database" + " (pip install 'canmatrix[xls,xlsx]' reads sheets)" * is_sheet
         raise InputError(path, "", f"cannot be read ({str(error).splitlines()[0]})", expected) from None
     if not isinstance(database, Database):
         raise InputError(path, "--dbc", "describes diagnostics but no messages", "a CAN database")
+    _name_shared_identifiers(database, path)
     return _with_signs(database, path)
 
 
@@ -114,23 +116,34 @@ def _by_canmatrix(path: Path) -> Database | None:
     return _sound_lines(text.getvalue().decode("iso-8859-1"), path)
 
 
+def _name_shared_identifiers(database: Database, path: Path) -> None:
+    """Warn of messages with one identifier."""
+    by_id: dict[tuple[int, bool], list[str]] = {}
+    for message in database.messages:
+        by_id.setdefault((message.frame_id, message.is_extended_frame), []).append(message.name)
+    for (identifier, _), names in by_id.items():
+        if len(names) > 1:
+            what = f"messages {' and '.join(names)} have one identifier, {identifier:#x}"
+            warnings.warn(f"{path}: {what}: each is read from all its frames", InputWarning, stacklevel=1)
+
+
 def _with_signs(database: Database, path: Path) -> Database:
-    """Make unsigned signals signed if their stated range is the range of signed bits, and warn."""
+    """Make unsigned signals signed where their stated range is negative and within signed bits, and warn."""
     signed = []
     for message in database.messages:
         for signal in message.signals:
-            stated = (signal.minimum, signal.maximum)
+            low, high = signal.minimum, signal.maximum
             if (
                 signal.is_signed
                 or signal.is_float
                 or signal.offset
-                or None in stated
+                or low is None
+                or high is None
                 or not 4 <= signal.length <= 64
             ):
                 continue
             half, scale = 2 ** (signal.length - 1), float(signal.scale)
-            ends = (-half * scale, (half - 1) * scale)
-            if scale > 0 and all(abs(s - e) <= 1.5 * scale for s, e in zip(stated, ends, strict=True)):
+            if scale > 0 and -(half + 1.5) * scale <= low < 0 < high <= (half + 0.5) * scale:
                 signal.is_signed = True
                 signed.append(f"{message.name}.{signal.name}")
     if signed:

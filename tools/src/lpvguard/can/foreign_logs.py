@@ -7,15 +7,18 @@ Each number of a message becomes a series TOPIC.field, also in nested fields and
 time at which the log received the message. PX4 and ArduPilot logs have the vehicle's own times.
 """
 
+import io
 import json
+import warnings
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import redirect_stderr, redirect_stdout
 from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from ..base.errors import InputError
+from ..base.errors import InputError, InputWarning
 from .log_types import Series, Table
 from .packed import unpacked
 
@@ -168,7 +171,9 @@ _DATAFLASH_UNITS = {"deg/s": "deg/s", "deg": "deg", "rad": "rad", "rad/s": "rad/
 def _dataflash(path: Path, _: Path | None) -> Table:
     from pymavlink.DFReader import DFReader_binary, DFReader_text
 
-    log = (DFReader_text if path.suffix.lower() == ".log" else DFReader_binary)(str(path))
+    said = io.StringIO()  # pymavlink prints a line for each damaged message
+    with redirect_stdout(said), redirect_stderr(said):
+        log = (DFReader_text if path.suffix.lower() == ".log" else DFReader_binary)(str(path))
     units: dict[str, str] = {}
 
     def messages() -> Iterator[Message]:
@@ -183,7 +188,11 @@ def _dataflash(path: Path, _: Path | None) -> Table:
                     units.setdefault(f"{kind}.{field}", _DATAFLASH_UNITS.get(unit, ""))
                 yield kind, int(t_us) * 1000, fields
 
-    table = _table(messages())
+    with redirect_stdout(said), redirect_stderr(said):
+        table = _table(messages())
+    if damaged := said.getvalue().count("bad msg"):
+        what = f"pymavlink calls {damaged} messages damaged"
+        warnings.warn(f"{path}: {what}", InputWarning, stacklevel=1)
     return Table({n: Series(s.t_ns, s.value, units.get(n, "")) for n, s in table.series.items()})
 
 

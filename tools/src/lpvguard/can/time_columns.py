@@ -53,7 +53,7 @@ _DATE_AND_CLOCK = re.compile(
     rf"(?:{_DATE})[T _-]+{_CLOCK}\s*(?P<half>[AP]M)?\s*(?P<zone>[A-Z]{{1,5}}|[+-]\d{{2}}:?\d{{2}})?",
     re.IGNORECASE,
 )
-_TIME_OF_DAY = re.compile(r"(?:(\d+) days?,? )?(\d{1,2}):(\d{1,2}):(\d{1,2})(?:[.,:](\d+))?")
+_TIME_OF_DAY = re.compile(r"(?:(\d{1,5}) days?,? )?(\d{1,2}):(\d{1,2}):(\d{1,2})(?:[.,:](\d+))?")
 _ELAPSED = re.compile(r"(\d{1,3}):(\d{2})[.,](\d+)")
 """Minutes, seconds and parts of a second."""
 _OF_LOGGER = re.compile(r"(?:\d{2})?(\d{2})?T(\d{2})(\d{2})(\d{2})(\d+)")

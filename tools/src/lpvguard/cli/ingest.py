@@ -20,7 +20,7 @@ def ingest(
     logs: Annotated[
         list[Path],
         typer.Argument(
-            help="candump, ASC, BLF, TRC, MF4, CSV, VBOX, JSON, Parquet; folders; text also packed."
+            help="candump, ASC, BLF, TRC, MF4, CSV, VBOX, JSON, Parquet; folders, .zip; text also packed."
         ),
     ],
     out: Out,

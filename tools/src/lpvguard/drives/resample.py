@@ -8,6 +8,7 @@ extrapolates. A time is left out when, for any column, the samples around it lie
 
 import warnings
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 
@@ -25,8 +26,9 @@ _LISTED = 50
 ALONE, OF_RANGE = 20.0, 0.25
 """A sample stands alone if it is off both its neighbours by more than so many usual steps of the signal, and
 than this share of the range in which it is at four of five samples."""
-OF_OTHERS = 3.0
-"""A repeated value means none if it is off all others by more than so many of their ranges."""
+OF_OTHERS, MARKS = 3.0, 3
+"""Up to MARKS repeated values at each end mean none if all are off the others by more than OF_OTHERS of these
+others' ranges."""
 FEW_STEPS = 10
 """So few steps say nothing of a signal's usual ones."""
 
@@ -219,14 +221,32 @@ def standing_alone(value: np.ndarray) -> np.ndarray:
 
 
 def _marks(value: np.ndarray) -> np.ndarray:
-    """True (N,) at the least or largest value where it is repeated and far off all others."""
-    marked = np.zeros(len(value), bool)
-    for extreme in (value.min(), value.max()) if len(value) else ():
-        is_it = value == extreme
-        others, many = value[~is_it], int(is_it.sum())
-        if 1 < many < len(others) and np.ptp(others) > 0:
-            marked |= is_it & (np.abs(others - extreme).min() > OF_OTHERS * np.ptp(others))
-    return marked
+    """True (N,) at the least and largest values where they are repeated and far off all others."""
+    none = np.zeros(len(value), bool)
+    if not len(value):
+        return none
+    if np.ptp(value) <= OF_OTHERS * np.diff(np.quantile(value, (0.25, 0.5, 0.75))).min():
+        return none
+    low, high = _repeated(value), [-x for x in _repeated(-value)]
+    most: np.ndarray = none
+    for least, largest in product([-np.inf, *low], [np.inf, *high]):
+        out = (value <= least) | (value >= largest)
+        others, many = value[~out], int(out.sum())
+        if not int(most.sum()) < many < len(others) or np.ptp(others) == 0:
+            continue
+        if min(others.min() - least, largest - others.max()) > OF_OTHERS * np.ptp(others):
+            most = out
+    return most
+
+
+def _repeated(value: np.ndarray) -> list[float]:
+    """The least values, up to MARKS and to the first that stands once."""
+    least: list[float] = []
+    rest = value
+    while len(least) < MARKS and len(rest) and int((rest == rest.min()).sum()) > 1:
+        least.append(float(rest.min()))
+        rest = rest[rest > least[-1]]
+    return least
 
 
 def without_lone(column: str, source: Source) -> None:

@@ -5,13 +5,14 @@ that fits is taken; where two do, the user is asked for the option that settles 
 """
 
 import shlex
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
 
-from ..base.errors import InputError
+from ..base.errors import InputError, InputWarning
 from ..drives.unit_names import DIMENSIONS
 from ..drives.units import unit_factor
 from ..vehicle.physics import KINDS, KindName, VehicleKind, degrees_per_g
@@ -29,6 +30,8 @@ LEAST_ANGLE_RAD = 0.01
 """If 99 % of a log stay below both, nobody steered, or degrees would be read as radians."""
 FULL_LOCK_RAD = (0.3, 0.7)
 """Full lock of road wheels."""
+USUAL_RATIOS = (11.0, 22.0)
+"""Steering ratios of most cars; a wrong unit of the speed often makes another one."""
 LEAST_EXPLAINED = 0.3
 """Columns that explain less of the yaw rate say nothing of their units."""
 
@@ -128,6 +131,11 @@ def decided(
             f"not given, and the steering is at a steering wheel: {best.words()}",
             "the wheelbase in m, or --steering-ratio",
         )
+    is_read = best.ratio != 1.0 and known.ratio is None and known.kind == "car"
+    if is_read and not USUAL_RATIOS[0] <= best.ratio <= USUAL_RATIOS[1]:
+        what = f"a steering ratio of {best.ratio:.3g}:1 is unusual for a car: is it {best.words()}?"
+        settles = "a right unit, or --steering-ratio, settles it"
+        warnings.warn(f"{what} {settles}", InputWarning, stacklevel=1)
     return best, _evidence(turn, candidates, known)
 
 
