@@ -1,5 +1,5 @@
-"""The barrier method: derivatives by differences and in longer numbers, Newton's step by the definition of
-what it makes small, and its searches by hand."""
+"""The barrier method: derivatives against differences and longer numbers, Newton's step against its
+definition, and its searches against results by hand."""
 
 import numpy as np
 import pytest
@@ -177,7 +177,8 @@ def test_a_step_without_y_is_newtons_of_p_alone():
 
 
 def told_steps(monkeypatch, *steps) -> list:
-    """``newton_step`` finds (P, t, decrement) as told, the last of them again and again; what it is asked."""
+    """Replace ``newton_step``: it returns scripted (P, t, decrement), the last one repeatedly. Returns its
+    calls."""
     asked = []
 
     def step(one, P, t, directions, slope, price):
@@ -318,7 +319,7 @@ def test_the_line_search_by_hand(curve, slope, minimiser):
 
 
 def test_the_line_search_begins_at_nine_tenths_of_the_way_to_the_end():
-    """Where that is the least it stays, whatever the curvature elsewhere."""
+    """A start at the minimum does not move, whatever the curvature elsewhere."""
     curve = np.array([-2.0, 100.0])
     slope = float(np.sum(curve / (1 + 0.45 * curve)))
     assert barrier.line_search(curve, slope) == pytest.approx(0.45, rel=1e-12)

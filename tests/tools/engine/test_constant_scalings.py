@@ -159,7 +159,7 @@ def test_singular_values_that_are_nearly_equal_count_as_a_millionth_apart(size):
 
 
 class ScriptedMean(ConstantScalings):
-    """Scalings whose mean is a given function of the logarithms: value, slope and second derivatives."""
+    """Scalings with a given mean as a function of the logarithms: value, slope and second derivatives."""
 
     def __init__(self, mean, n: int):
         super().__init__(gain(np.eye(n), 0.01), [1] * n, [1] * n)
@@ -208,7 +208,8 @@ def test_a_step_is_at_most_four_long_in_each_constant():
 
 
 def test_a_constant_at_its_farthest_moves_inwards_alone():
-    """There it has no say in what the others do, though they are coupled; it starts there at most."""
+    """A constant at its limit does not influence the others, although they are coupled. Starts are limited to
+    it."""
     H = np.array([[1.0, 0.5], [0.5, 1.0]])
     one = ScriptedMean(bowl(H, [40.0, 1.0]), 2)
     minimum = one.search([90.0, 0.0])
@@ -255,7 +256,7 @@ def test_a_search_that_asks_only_whether_ends_where_the_mean_says_so():
 
 
 def test_a_step_must_keep_a_ten_thousandth_of_its_promise_and_shortens_by_the_cubic():
-    """A step of -2 that promises 4, from the value 3: the values at its tries are told, less 3."""
+    """A step of -2 promises 4, from the value 3. The values of its trials are scripted, less 3."""
     first, share = (0.0, 2.0, 1 - EPS**0.5), _shorter(2.0, 4.0, 8.0)
     assert 0.05 < share < 0.5
 

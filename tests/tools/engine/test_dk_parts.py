@@ -134,7 +134,7 @@ def test_synthesis_and_norm_are_asked_about_the_scaled_plant(monkeypatch):
 
 @pytest.fixture
 def posed(monkeypatch) -> dict:
-    """What `fit` asks the minimiser, which answers with parameters beyond the fastest and the slowest."""
+    """Calls of `fit` to the minimiser, which returns parameters beyond the fastest and the slowest."""
     asked = {}
 
     def minimize(objective, x0, **options):
@@ -171,8 +171,8 @@ def test_a_fit_minimises_the_power_mean_of_the_scaled_gains(posed, power):
 
 
 def test_a_fit_starts_beside_the_point_where_zeros_and_poles_meet(posed):
-    """There it is stationary, and equal pairs would stay equal. Corners that differ, and a constant, are
-    where it starts."""
+    """Equal corners are stationary, and equal pairs would stay equal. Different corners and a constant are
+    the start."""
     one = plant()
     work, loop = dk._Work(one), one.system.select(slice(0, 5), slice(0, 6))
     work.fit(loop, Scaling(np.tile([0.5, -2.0, -2.0], (2, 1))), 10.0)
@@ -318,7 +318,7 @@ def test_without_blocks_the_level_is_the_norm_of_the_loop(dt):
 
 
 class Scripted:
-    """In place of the work: levels of K steps by a script, and what it was asked."""
+    """Replaces `_Work`: scripted levels of K steps, and a record of the calls."""
 
     def __init__(self, levels):
         self.levels, self.asked, self.scalings, self.fits = iter(levels), [], [], []
@@ -341,7 +341,7 @@ class Scripted:
 
 @pytest.fixture
 def scripted(monkeypatch):
-    """Runs dk_synthesis with scripted levels; what it asked and gave."""
+    """Run dk_synthesis with scripted levels. Returns its calls and its result."""
 
     def run(levels, blocks=(ONE,), dt=0.0, **options):
         work, seen = Scripted(levels), {}
@@ -450,7 +450,7 @@ def test_blocks_are_full():
 
 
 class Measured:
-    """In place of the work: levels by a script, and the trials with the levels that they have to beat."""
+    """Replaces `_Work`: scripted levels, and a record of the trials with the levels that they must beat."""
 
     def __init__(self, levels):
         self.levels, self.asked = iter(levels), []
@@ -464,7 +464,7 @@ START = np.array([[0.0, 1.0, 2.0], [3.0, 4.0, 5.0]])
 
 
 def moved(asked, start=START):
-    """Of every trial what it moves, and by how much."""
+    """For every trial, the parameter that it changes, and the change."""
     moves = []
     for _, x in asked:
         [place] = np.argwhere(np.abs(x - start) > 1e-12)

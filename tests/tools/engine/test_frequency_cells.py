@@ -35,9 +35,8 @@ def bound(value: float) -> PointBound:
 
 
 class Laid:
-    """What is asked while an interval is covered by cells of half a rad/s to either side.
-
-    ``values``: frequency to the bound there; ``held``: frequency to what other scalings prove there.
+    """Record of the calls while cells of half a rad/s to either side cover an interval. ``values`` maps a
+    frequency to the bound there, and ``held`` maps it to the bound by other scalings.
     """
 
     def __init__(self, monkeypatch, values, held=lambda omega: np.inf):
@@ -145,7 +144,8 @@ def two_resonances() -> StateSpace:
 
 @pytest.mark.parametrize("case", range(5))
 def test_a_search_begins_at_the_pole_where_the_middles_scalings_prove_the_least(case):
-    """Poles at the very ends are none of those inside; of none the middle is taken, without a bound there."""
+    """Poles at the ends do not count as inside. Without a pole the middle is used, and no bound is computed
+    there."""
     G, asked = two_resonances(), []
     first, second = (f(np.abs(G.poles())) for f in (np.min, np.max))
     cases = [(1.0, 9.0, 5.0), (1.0, 4.5, 2.0), (3.0, 3.5, None), (0.5, first, None), (second, 8.0, None)]
@@ -250,7 +250,7 @@ def test_a_cell_of_a_gain_that_rises_ends_below_its_level():
 
 
 def test_a_state_that_nothing_reaches_leaves_the_singular_frequencies():
-    """It leaves zeros in a Hamiltonian that is complex elsewhere."""
+    """The Hamiltonian has zeros, and is complex in other entries."""
     G, point = random_loop(1)
     A = np.diag([0.0, 0.0, 0.0, -1.0])
     A[:3, :3] = G.A

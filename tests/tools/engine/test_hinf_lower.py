@@ -190,7 +190,7 @@ def test_no_certificate_of_any_level_proves_more_than_the_optimum(seed):
 
 @pytest.mark.parametrize("seed", COUPLED)
 def test_a_planted_certificate_is_refused(seed):
-    """Its parts moved by 1 %: outside of the null space or with Q that is not positive."""
+    """Its parts are changed by 1 %, so that they leave the null space, or Q is not positive."""
     game, optimum = posed_at(seed)
     right = dual_certificate(game.P, game.control, game.filter, optimum * (1 - 1e-6))
     random = np.random.default_rng(seed)

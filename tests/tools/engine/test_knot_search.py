@@ -1,5 +1,5 @@
-"""Storage functions linear between knots: the block solver against the dense one, what joins, and what is
-found."""
+"""Storage functions linear between knots: the block solver against the dense one, the grid, and the
+search."""
 
 import itertools
 from dataclasses import replace
@@ -90,7 +90,7 @@ def test_the_halves_of_the_factor_meet_whatever_the_number_of_blocks(rows, count
 
 @pytest.mark.parametrize("place", [0, 1, 3])
 def test_a_matrix_that_no_addition_makes_positive_is_refused(place):
-    """Wherever the block lies: the first half, the last one, or the middle."""
+    """The block may lie in the first half, in the last half, or in the middle."""
     beside = [np.zeros((1, 1)) for _ in range(4)]
     beside[place][:] = 1.1
     with pytest.raises(np.linalg.LinAlgError):
@@ -98,7 +98,7 @@ def test_a_matrix_that_no_addition_makes_positive_is_refused(place):
 
 
 def test_what_is_found_is_positive_for_either_slope_and_near_the_centre(grid):
-    point = knot_search.found_at(grid, Point(np.tile(np.eye(2), (4, 1, 1))), 0.3, np.eye(4))
+    point = knot_search.feasible_point(grid, Point(np.tile(np.eye(2), (4, 1, 1))), 0.3, np.eye(4))
     least = np.linalg.eigvalsh(grid.F(point, 0.3))[:, 0]
     assert least.min() > 0 and len(least) == 12
     barrier, gain = grid.barrier(0.3), grid.gain_direction()[None]
@@ -129,7 +129,7 @@ def test_a_rate_out_of_reach_is_given_up_near_the_centre(grid, monkeypatch):
 
     monkeypatch.setattr(knot_search, "newton_step", stub)
     other = replace(grid, loop_at=loud)
-    assert knot_search.found_at(other, Point(np.tile(np.eye(2), (4, 1, 1))), 0.3, np.eye(4)) is None
+    assert knot_search.feasible_point(other, Point(np.tile(np.eye(2), (4, 1, 1))), 0.3, np.eye(4)) is None
     weight, (_, y, decrement) = steps[-1]
     assert (
         weight == knot_search.FIRST_WEIGHT and decrement < knot_search.NEAR and len(steps) < knot_search.STEPS
@@ -149,7 +149,7 @@ def test_the_worst_speed_of_every_segment_is_asked_besides(grid):
             u: np.linalg.eigvalsh(replace(grid, speeds=np.array([u])).F(low, 0.3))[:, 0].min() for u in inside
         }
         assert min(least, key=least.__getitem__) == v
-    wider = grid.asked_at(joined)
+    wider = grid.with_speeds(joined)
     assert wider.knots is grid.knots and wider.speeds.tolist() == sorted({*grid.speeds, *joined})
     assert len(wider.F(low, 0.3)) == len(grid.F(low, 0.3)) + 2 * len(joined)
     assert not set(wider.violated(low, 0.3, speeds)) & set(joined)
@@ -157,7 +157,7 @@ def test_the_worst_speed_of_every_segment_is_asked_besides(grid):
 
 def test_more_knots_change_nothing(grid):
     low = point(grid)
-    wider, same = grid.bent_at(low, np.array([1.0, 1.5, 1.75, 2.5, 2.75, 3.0]))
+    wider, same = grid.with_knots(low, np.array([1.0, 1.5, 1.75, 2.5, 2.75, 3.0]))
     np.testing.assert_array_equal(same.P[[0, 1, 3, 5]], low.P)
     np.testing.assert_allclose(same.P[[2, 4]], [0.75 * low.P[1] + 0.25 * low.P[2], low.P[2:].mean(axis=0)])
     assert wider.speeds is grid.speeds and same.excess == low.excess
@@ -170,7 +170,7 @@ def test_no_speed_joins_where_none_is_violated(grid):
         return replace(G, C=0.1 * G.C)
 
     quieter = replace(grid, loop_at=quiet)
-    point_found = knot_search.found_at(quieter, Point(np.tile(np.eye(2), (4, 1, 1))), 0.3, np.eye(4))
+    point_found = knot_search.feasible_point(quieter, Point(np.tile(np.eye(2), (4, 1, 1))), 0.3, np.eye(4))
     assert len(quieter.violated(point_found, 0.3, np.linspace(1.0, 3.0, 41))) == 0
     assert len(grid.violated(point(grid), 0.3, grid.speeds)) == 0, "nothing is left to ask"
 
@@ -192,7 +192,7 @@ def test_even_coordinates_change_nothing_but_the_coordinates(grid):
 
 @pytest.mark.parametrize("delta", [(1, 2), (2, 1)])
 def test_the_gain_of_delta_is_told_by_its_own_inputs_and_outputs(grid, delta):
-    """Of an inequality its speed's: eta'eta less, xi'xi more."""
+    """Each inequality has the gain direction of its speed: eta'eta less, xi'xi more."""
     directions = replace(grid, speeds=np.array([1.5, 2.0]), delta=delta).gain_direction()
     assert len(directions) == 6
     for X, v in zip(directions, [1.5] * 4 + [2.0] * 2, strict=True):
@@ -302,7 +302,7 @@ def test_f_is_measured_in_itself_or_in_what_is_nearest_and_positive():
 
 @pytest.fixture
 def stepped(monkeypatch):
-    """A barrier whose F is P itself, and Newton's steps by a script: what was asked of each."""
+    """A barrier whose F is P itself, with scripted Newton steps. Returns the calls."""
 
     def run(call, script):
         asked, script = [], iter(script)
@@ -421,7 +421,7 @@ def test_a_search_is_told_its_units_its_gain_and_its_price(grid, monkeypatch):
     for delta, gains in (((1, 1), 1), ((0, 0), 0), ((0, 1), 0), ((1, 0), 1)):
         one = replace(grid, delta=delta, loop_at=lambda v: quiet)
         asked["point"] = "point"
-        assert knot_search.found_at(one, start, 0.3, unit) == "centred"
+        assert knot_search.feasible_point(one, start, 0.3, unit) == "centred"
         barrier, begun, units, gain, price = asked["feasible"]
         assert begun is start and gain.shape == (gains, 12, 4, 4)
         assert asked["centred"] == (barrier, "point", gain, price)
@@ -432,4 +432,4 @@ def test_a_search_is_told_its_units_its_gain_and_its_price(grid, monkeypatch):
         if gains:
             np.testing.assert_array_equal(gain[0], one.gain_direction())
         asked["point"] = None
-        assert knot_search.found_at(one, start, 0.3, unit) is None
+        assert knot_search.feasible_point(one, start, 0.3, unit) is None

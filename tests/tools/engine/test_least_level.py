@@ -160,13 +160,15 @@ def test_a_level_whose_storage_function_is_not_proved_is_left_for_the_next(monke
 def test_p_costs_more_the_further_it_is_from_the_frozen_solutions(monkeypatch):
     """Every search gets COST over their mean, in the coordinates in which it searches."""
     one, searches, frozen = family(turn=0.2), [], []
-    search, solved = least_level.found_at, least_level.frozen_at
+    search, solved = least_level.feasible_point, least_level.frozen_at
 
     def stub(family, speeds):
         frozen.append(solved(family, speeds))
         return frozen[-1]
 
-    monkeypatch.setattr(least_level, "found_at", lambda *asked: searches.append(asked) or search(*asked))
+    monkeypatch.setattr(
+        least_level, "feasible_point", lambda *asked: searches.append(asked) or search(*asked)
+    )
     monkeypatch.setattr(least_level, "frozen_at", stub)
     assert least_level.find_level(lambda _: one, DELTA, RATE) is not None
     last = [asked for asked in searches if asked[2] == 0.0][-1]
@@ -181,13 +183,15 @@ def test_p_costs_more_the_further_it_is_from_the_frozen_solutions(monkeypatch):
 def test_knots_join_half_way_between_the_nodes_and_every_quarter_is_asked(moving, monkeypatch):
     """Up to a quarter of the rate the nodes are knots enough; after a proof that fails more is asked."""
     (one, certificate), searches, proofs = moving, [], []
-    search, proved = least_level.found_at, least_level.prove
+    search, proved = least_level.feasible_point, least_level.prove
 
     def none_at_first(*asked):
         proofs.append(asked)
         return proved(*asked) if len(proofs) > 1 else None
 
-    monkeypatch.setattr(least_level, "found_at", lambda *asked: searches.append(asked) or search(*asked))
+    monkeypatch.setattr(
+        least_level, "feasible_point", lambda *asked: searches.append(asked) or search(*asked)
+    )
     monkeypatch.setattr(least_level, "prove", none_at_first)
     monkeypatch.setattr(least_level, "LEVELS", (certificate.level,))
     monkeypatch.setattr(KnotGrid, "violated", lambda *_: np.array([1.01]))
@@ -354,14 +358,14 @@ def test_ds_gain_is_at_most_e_squared_from_the_given_one(monkeypatch, best, log_
 
 
 class ToldGrid:
-    """In place of the grid: what it is made of, and what is asked of it, in order; ``violated`` as told."""
+    """Replaces the grid: records its construction and its calls in order. ``violated`` is scripted."""
 
     def __init__(self, said, violated, loop, Ts, knots, speeds, basis, delta, cost):
         self.said, self.left = said, violated
         self.made = loop, Ts, delta, cost
         self.knots, self.speeds, self.basis = knots, speeds, basis
 
-    def bent_at(self, point, knots):
+    def with_knots(self, point, knots):
         self.said.append(("bent", point.excess, len(knots)))
         return self, Point(point.P, point.excess + 0.01)
 
@@ -373,7 +377,7 @@ class ToldGrid:
         self.said.append(("violated", point.excess, rate, len(speeds)))
         return self.left.pop(0)
 
-    def asked_at(self, joined):
+    def with_speeds(self, joined):
         self.said.append(("joined", joined.tolist()))
         self.speeds = np.sort(np.append(self.speeds, joined))
         return self
@@ -404,7 +408,7 @@ def told_level(monkeypatch, points, proofs, violated, frozen_gain=0.9, frozen=Tr
 
     searches: list = []
     monkeypatch.setattr(least_level, "KnotGrid", grid)
-    monkeypatch.setattr(least_level, "found_at", search)
+    monkeypatch.setattr(least_level, "feasible_point", search)
     monkeypatch.setattr(least_level, "prove", prove)
     monkeypatch.setattr(least_level, "_least_gain", lambda *_: (0.5, frozen_gain))
     if not frozen:

@@ -210,7 +210,7 @@ def test_the_coordinates_balance_the_sums_of_the_gramians():
 
 
 def test_the_coordinates_of_three_states_balance_and_follow_the_states_units():
-    """Also units of which one state is all but gone beside the others."""
+    """The states may have units that make one of them tiny."""
     random = np.random.default_rng(9)
     A, B, C = 0.3 * random.standard_normal((3, 3)), random.standard_normal((3, 2)), np.eye(1, 3)
     T = lpv._coordinates([StateSpace(A, B, C, np.zeros((1, 2)), TS)])

@@ -233,7 +233,7 @@ def test_an_hour_is_3600_s():
 
 
 def run_of(frames, energy=(0.0, 0.0), change=(0.0, 0.0), energy_band=(0, 0)) -> SimpleNamespace:
-    """What the core says of a drive; a frame: bin, end [s], statistic, whether it counted."""
+    """Results of the core for a drive. A frame has a bin, an end [s], a statistic, and whether it counted."""
     columns = [np.array(column) for column in zip(*frames, strict=True)]
     return SimpleNamespace(
         frames=SimpleNamespace(**dict(zip(("bin", "t_end_s", "statistic", "counted"), columns, strict=True))),

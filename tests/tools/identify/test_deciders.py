@@ -52,7 +52,7 @@ def test_the_frame_that_decides_a_bound_is_known_and_what_the_bound_is_without_i
 
 
 def said(stored, **changed) -> SimpleNamespace:
-    """As much of an Identification as the sentences read."""
+    """The fields of an Identification that the sentences use."""
     deciders = Deciders("B_w", (len(stored.bounds["omega_rad_s"]), 1))
     usual = {
         "project": stored.project,

@@ -169,7 +169,7 @@ def test_results_come_in_order_and_few_are_under_way():
 
 
 def test_workers_begin_before_a_result_is_asked_for(tmp_path):
-    """What asks for one result last has it made beside its own work."""
+    """Workers compute a result while the caller still does other work."""
     with workers(2) as run:
         results = run(os.mkdir, [tmp_path / "made"])
         end = time.monotonic() + 60
@@ -214,7 +214,7 @@ if __name__ == "__main__":
 
 @pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="asks /proc which processes run")
 def test_workers_end_with_a_pool_that_was_killed(tmp_path):
-    """Nobody tells them: what started them was killed."""
+    """The workers get no message, because their parent was killed."""
     script = tmp_path / "pool.py"
     script.write_text(POOL)
     with subprocess.Popen(

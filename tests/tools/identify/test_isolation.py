@@ -1,4 +1,5 @@
-"""Parts of a car with four redundant outputs: what each changes, which is named, what no size tells."""
+"""Parts of a car with four redundant outputs: what each changes, which is named, and which are not
+separable."""
 
 import json
 from dataclasses import replace
@@ -19,8 +20,8 @@ from lpvguard.extras.bench._redundant_car import (
 from lpvguard.identify.isolation import (
     Changes,
     Isolation,
+    is_separable,
     residual_structure,
-    told_apart,
 )
 from lpvguard.replay.parts import PartNamer, RunningParts
 from lpvguard.report.sections.isolation import isolation_section
@@ -102,15 +103,15 @@ def test_structure_says_which_parts_a_residual_tells_apart():
     structure = residual_structure(PROJECT)
     assert structure["yaw_rate"][0] == "yaw_rate" and len(structure["yaw_rate"]) == 4
     assert structure["vehicle"] == ["yaw_rate", "wheel_rate", "acceleration_rate", "course_rate"]
-    assert told_apart(structure, "yaw_rate", "vehicle") and told_apart(structure, "vehicle", "yaw_rate")
-    assert not told_apart(structure, "vehicle", "road_wheel_angle")
-    assert told_apart(structure, "speed", "vehicle") and not told_apart(structure, "vehicle", "speed")
+    assert is_separable(structure, "yaw_rate", "vehicle") and is_separable(structure, "vehicle", "yaw_rate")
+    assert not is_separable(structure, "vehicle", "road_wheel_angle")
+    assert is_separable(structure, "speed", "vehicle") and not is_separable(structure, "vehicle", "speed")
 
 
 def test_one_output_tells_no_parts_apart_by_structure():
     document = load_project("g80").model_dump(by_alias=True) | {"isolation": {"vehicle": ["K"]}}
     structure = residual_structure(parse_project(document, "x"))
-    assert not any(told_apart(structure, a, b) for a in structure for b in structure)
+    assert not any(is_separable(structure, a, b) for a in structure for b in structure)
 
 
 def test_isolable_sizes_fall_with_time_and_are_never_below_that_of_a_healthy_vehicle(isolation):

@@ -1,4 +1,4 @@
-"""The limit of detection: it is that of a test which knows the vehicle, and reads drives as they differ."""
+"""The limit of detection is that of a test with full knowledge of the vehicle and of the spread of drives."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""What a sensor cannot tell bounds the disturbance from below: rounding alone falsifies no vehicle."""
+"""The resolution of a sensor bounds the disturbance from below. Rounding alone falsifies no vehicle."""
 
 from itertools import product
 from pathlib import Path
@@ -190,7 +190,7 @@ def falsified(identification: stage.Identification, drive: Drive) -> int:
 
 @pytest.mark.slow("4 s: an identification")
 def test_a_vehicle_whose_only_sin_is_rounding_is_not_falsified(coarse, monkeypatch):
-    """Driven gently it moves within a bit or two, or reads zero: nothing like the drives that set the
+    """In a gentle drive the output changes by a bit or two, or reads zero, unlike in the drives that set the
     bounds."""
     identification, _ = stage.identify(fleet.vehicle(), coarse)
     assert identification.bounds.resolution.step == pytest.approx([STEP])

@@ -56,7 +56,8 @@ def test_the_core_holds_the_weights_and_finds_no_bound_drive_outside(stored, cor
 def test_a_cut_drive_far_below_the_energy_tests_bound_asks_for_no_larger_sigma(
     stored, core, few_truck_drives, share
 ):
-    """With a tenth of sigma some drives ask for more, and the core's ratio is above FAR_BELOW on each."""
+    """With a tenth of sigma some drives need more, and the ratio of the core is above FAR_BELOW on each of
+    them."""
     reader = DriveReader(stored.project, NominalModel(stored.project))
     test = replace(stored.energy, sigma=share * stored.energy.sigma)
     arguments = stored.project, reader.model, reader.estimator, stored.fitted, 1.0, test, stored.change

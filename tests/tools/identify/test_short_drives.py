@@ -1,4 +1,4 @@
-"""Drives that are too short for a bin say nothing of it, and stop nobody."""
+"""Drives that are too short for a bin do not inform it, and do not stop the identification."""
 
 import numpy as np
 import pytest

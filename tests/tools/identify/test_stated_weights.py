@@ -1,4 +1,4 @@
-"""Reading weights.json proves its statements about weights anew, and refuses a planted number."""
+"""The reader of weights.json proves its statements about weights again, and refuses a planted number."""
 
 import json
 

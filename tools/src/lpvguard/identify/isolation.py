@@ -251,7 +251,7 @@ def residual_structure(project: Project) -> dict[str, list[str]]:
     return {part: [r for r in order if r in residuals] for part, residuals in carried.items()}
 
 
-def told_apart(structure: dict[str, list[str]], part: str, other: str) -> bool:
+def is_separable(structure: dict[str, list[str]], part: str, other: str) -> bool:
     """Return whether ``part`` changes a residual that ``other`` does not change.
 
     Parameters
@@ -649,7 +649,7 @@ class Isolation:
                 if other == part:
                     shown[other] = ""
                     continue
-                star = "*" if other and told_apart(structure, part, other) else ""
+                star = "*" if other and is_separable(structure, part, other) else ""
                 shown[other or "healthy"] = f"{row[other]:.2g}{star}" if np.isfinite(row[other]) else "–"
             longest = max(after[what].values())
             shown["usual fault"] = f"{column_of[what].fault:.2g}"

@@ -4,7 +4,8 @@ standard error.
 Its frames differ from those of the monitor. Only sums over the frames of a drive are kept. Drives are added
 in the order of their names, so the result does not depend on their order in a folder.
 
-Length: its three steps form one estimator: sums over frames, lines over pools of cells, and the bound.
+Length: the three steps form one estimator. They are sums over frames, lines over pools of cells,
+and the bound.
 """
 
 from __future__ import annotations

@@ -260,11 +260,11 @@ class KnotGrid:
         ]
         return others[np.array(worst, int)]
 
-    def asked_at(self, speeds: np.ndarray) -> KnotGrid:
+    def with_speeds(self, speeds: np.ndarray) -> KnotGrid:
         """The grid with further inequalities at ``speeds`` (m,)."""
         return replace(self, speeds=np.union1d(self.speeds, speeds))
 
-    def bent_at(self, point: Point, knots: np.ndarray) -> tuple[KnotGrid, Point]:
+    def with_knots(self, point: Point, knots: np.ndarray) -> tuple[KnotGrid, Point]:
         """The same P with more knots: ``knots`` (m,), which include those of the grid."""
         k = np.maximum(np.searchsorted(self.knots, knots) - 1, 0)
         share = (knots - self.knots[k]) / np.diff(self.knots)[k]
@@ -295,7 +295,7 @@ def _between(segment: np.ndarray, share: np.ndarray, knots: int) -> np.ndarray:
     return out
 
 
-def found_at(grid: KnotGrid, start: Point, rate: float, unit: np.ndarray) -> Point | None:
+def feasible_point(grid: KnotGrid, start: Point, rate: float, unit: np.ndarray) -> Point | None:
     """A point with F > 0 for ``rate`` [m/s^2], near the centre of all such points, or None.
 
     ``unit`` (N, N) > 0 is the unit of F where F is positive nowhere at ``start`` and rate 0.

@@ -27,7 +27,7 @@ from scipy.optimize import minimize_scalar
 
 from lpvguard.base.sampling import evenly
 from lpvguard.engine.synthesis.dk import Scaling
-from lpvguard.engine.synthesis.knot_search import KnotGrid, Point, found_at
+from lpvguard.engine.synthesis.knot_search import KnotGrid, Point, feasible_point
 from lpvguard.engine.synthesis.lpv_certificate import Family, LpvCertificate, Storage, frozen_at, prove
 from lpvguard.engine.synthesis.norms import hinf_norm
 from lpvguard.engine.synthesis.statespace import StateSpace
@@ -197,8 +197,8 @@ def _at_level(
     for part in (0.0, *np.exp2(np.arange(RATE_STEPS) - RATE_STEPS + 1.0)):
         progress(f"storage function for |dv/dt| up to {part * on_grid:.3g} m/s2, {len(basis)} states")
         if part > COARSE_SHARE:
-            grid, point = grid.bent_at(point, knots)
-        candidate = found_at(grid, point, part * on_grid, unit)
+            grid, point = grid.with_knots(point, knots)
+        candidate = feasible_point(grid, point, part * on_grid, unit)
         if candidate is None:
             return None
         grid, point = grid.evened(candidate)
@@ -212,9 +212,9 @@ def _at_level(
         joined = grid.violated(point, on_grid, refined(grid.speeds, 4))
         if not len(joined):
             return None
-        grid = grid.asked_at(joined)
+        grid = grid.with_speeds(joined)
         progress(f"storage function at {len(grid.speeds)} speeds")
-        candidate = found_at(grid, point, on_grid, unit)
+        candidate = feasible_point(grid, point, on_grid, unit)
         if candidate is None:
             return None
         grid, point = grid.evened(candidate)

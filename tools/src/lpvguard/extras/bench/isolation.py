@@ -24,7 +24,7 @@ from ...base.errors import InputError
 from ...base.parallel import workers
 from ...base.rates import rate, share_words
 from ...drives.tables import Drive, list_experiments, read_drive
-from ...identify.isolation import VEHICLE, Changes, Isolation, residual_structure, told_apart
+from ...identify.isolation import VEHICLE, Changes, Isolation, is_separable, residual_structure
 from ...vehicle.nominal import NominalModel
 from ...vehicle.project import Project, load_project
 from . import parser, require_at_least, show
@@ -108,7 +108,7 @@ def _share(kind: str, rows: list[dict[str, Any]]) -> dict[str, Any]:
 
 def _structure(project: Project) -> dict[str, Any]:
     structure = residual_structure(project)
-    separable = {a: [b for b in structure if a != b and told_apart(structure, a, b)] for a in structure}
+    separable = {a: [b for b in structure if a != b and is_separable(structure, a, b)] for a in structure}
     return {"structure": structure, "told_apart": separable}
 
 
