@@ -93,7 +93,7 @@ def _ratios(replay: Replay, replayer: Replayer) -> tuple[tuple[str, np.ndarray],
 
 
 def course(replay: Replay, replayer: Replayer, t0: float) -> tuple[np.ndarray, np.ndarray]:
-    """Compute ``course`` and ``verdict`` of a DriveSummary; ``t0`` [s] is the time of the first sample."""
+    """Compute ``course`` and ``verdict``, (COLUMNS,), of a DriveSummary; ``t0`` [s] is the first time."""
     frames, samples = replay.run.frames, len(replay.run.verdict)
     ratio = np.full(COLUMNS, -np.inf)
     counted = frames.counted
