@@ -181,7 +181,7 @@ def test_one_structure_goes_from_identification_to_certificate(truck_stored):
         with pytest.raises(InputError, match=r"S1_diagonal with design\.structure"):
             _ = DesignProblem(truck_stored, settings.model_copy(update={"structure": structure})).weights
     common = replace(truck_stored, fitted=replace(fitted, W_delta=fitted.W_delta[:1]))
-    with pytest.raises(InputError, match="one uncertainty for bounds and design"):
+    with pytest.raises(InputError, match="the same uncertainty for bounds and design"):
         _ = DesignProblem(common, settings).weights
     with pytest.raises(InputError, match="2 Deltas, one per output; expected S0 or S1"):
         FrozenProblem(truck_stored, None)

@@ -265,7 +265,7 @@ def _parsed(body: list[str], names: list[str], delimiter: str, path: Path, rows:
 
 
 def with_numbers(read: TextTable, path: Path) -> TextTable:
-    """Convert the columns of numbers to numbers; a single cell without a number counts as missing.
+    """Convert text columns to numbers where possible; a few cells without a number count as missing.
 
     If a unit follows every number of a column, it is the unit of the column.
     """

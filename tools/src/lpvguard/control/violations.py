@@ -112,7 +112,7 @@ class SpeedGrid:
         return cls(low, high, unit, int((high - low) / unit * (1 + 1e-12)) + 1, moves)
 
     def near(self, places: np.ndarray) -> tuple[int, int]:
-        """First and last grid place of the range of ``places`` (T,), widened by its width on each side."""
+        """Window of grid places around ``places`` (T,), wider by the largest move in T / 2 samples."""
         reach = self.moves * len(places) // 2
         first, last = int(np.floor(places.min())) - reach, int(np.ceil(places.max())) + reach
         return max(first, 0), min(last, self.places - 1)

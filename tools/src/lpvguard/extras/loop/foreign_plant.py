@@ -149,7 +149,7 @@ class ForeignPlant:
         return kind, reference
 
     def _linked_variables(self) -> list[str]:
-        """Lines with the variables for the file that the simulator reads."""
+        """Write the lines about the FMU's variables for the file that the simulator reads."""
         lines = []
         for table, names in (("inputs", self.map.inputs), ("outputs", self.map.outputs)):
             entries = []
