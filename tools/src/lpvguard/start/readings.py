@@ -131,12 +131,17 @@ def decided(
             f"not given, and the steering is at a steering wheel: {best.words()}",
             "the wheelbase in m, or --steering-ratio",
         )
+    _doubt_unusual(best, known)
+    return best, _evidence(turn, candidates, known)
+
+
+def _doubt_unusual(best: UnitReading, known: Known) -> None:
+    """Warn of a steering ratio that is read from the columns and that few cars have."""
     is_read = best.ratio != 1.0 and known.ratio is None and known.kind == "car"
     if is_read and not USUAL_RATIOS[0] <= best.ratio <= USUAL_RATIOS[1]:
         what = f"a steering ratio of {best.ratio:.3g}:1 is unusual for a car: is it {best.words()}?"
         settles = "a right unit, or --steering-ratio, settles it"
         warnings.warn(f"{what} {settles}", InputWarning, stacklevel=1)
-    return best, _evidence(turn, candidates, known)
 
 
 def _evidence(turn: SteadyTurn, candidates: Sequence[UnitReading], known: Known) -> list[str]:
