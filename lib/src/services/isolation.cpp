@@ -467,6 +467,8 @@ void judge(lpvg_isolation_t& self) {
 
 // --- words ---
 
+constexpr char digit[] = "0123456789";
+
 // Text that ends where its room does.
 class Line {
 public:
@@ -477,10 +479,10 @@ public:
             text_[size_] = letter;
             ++size_;
         }
-        text_[size_] = '\0';
+        text_[size_] = char{};
     }
     void add(const char* words) {
-        for (; *words != '\0'; ++words) {
+        for (; *words != char{}; ++words) {
             add(*words);
         }
     }
@@ -490,15 +492,15 @@ public:
             power *= 10;
         }
         for (; power > 0; power /= 10) {
-            add(static_cast<char>('0' + x / power % 10));
+            add(digit[x / power % 10]);
         }
     }
     // Three digits at most, as "%+.3g" of C.
     void add_number(Real x) {
-        add(x < Real(0) ? '-' : '+');
+        add(x < Real(0) ? "-" : "+");
         x = std::abs(x);
         if (!(x > Real(0) && x <= std::numeric_limits<Real>::max())) {
-            add('0');
+            add("0");
             return;
         }
         int exponent = 0, last = 2;
@@ -520,17 +522,17 @@ public:
         }
         for (int k = point < 0 ? point : 0; k <= last; ++k) {
             const int power = last - k == 2 ? 100 : last - k == 1 ? 10 : 1;
-            add(static_cast<char>('0' + (k < 0 ? 0 : digits / power % 10)));
+            add(digit[k < 0 ? 0 : digits / power % 10]);
             if (k == point && k < last) {
-                add('.');
+                add(".");
             }
         }
         if (!is_plain) {
-            add('e');
-            add(exponent < 0 ? '-' : '+');
+            add("e");
+            add(exponent < 0 ? "-" : "+");
             const int size = exponent < 0 ? -exponent : exponent;
             if (size < 10) {
-                add('0');
+                add("0");
             }
             add_whole(size);
         }
@@ -822,14 +824,14 @@ extern "C" size_t lpvg_isolation_line(const lpvg_parts_t* parts, const lpvg_part
         const lpvg_size_words_t& size = size_words[parts->size];
         line.add(": ");
         line.add(size.name);
-        line.add(' ');
+        line.add(" ");
         line.add_number(parts->value);
         line.add(size.unit);
         line.add(" (");
         line.add_number(parts->low);
         line.add(" to ");
         line.add_number(parts->high);
-        line.add(')');
+        line.add(")");
     }
     line.add(", since about ");
     line.add_whole((parts->from_us + 500000) / 1000000);
