@@ -287,7 +287,7 @@ def pool_needs_pass(reader: DriveReader, sizes: PoolSizes, experiment: Experimen
 def pool_remainder_pass(
     reader: DriveReader, sizes: PoolSizes, W: np.ndarray, own: np.ndarray, experiment: Experiment
 ) -> Remainders:
-    """Remainders of a drive's pools, as `remainders_of`."""
+    """Remainders of a drive's pools (`remainders_of`); ``W`` (SPEEDS, K, n_y), ``own`` (SPEEDS, K)."""
     drive, _, _, frames = reader.seen(experiment)
     return remainders_of(experiment, frames, drive.v, reader.estimator, sizes, W, own)
 
