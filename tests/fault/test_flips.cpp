@@ -124,107 +124,33 @@ private:
     uint8_t counter_ = 0;
 };
 
-// A member of what bits are flipped in; padding counts to the member before it.
+// A group of members in which bits are flipped, up to the next group; padding counts to the group before it.
 struct Field {
     const char* name;
     std::size_t offset;
 };
 
-#define LPVG_FIELD(type, member) {#member, offsetof(type, member)}
-#define LPVG_WORD(member) LPVG_FIELD(lpvg_coeff_t, words.member)
-#define LPVG_REAL(member) LPVG_FIELD(lpvg_coeff_t, reals.member)
-#define LPVG_CONTROL(member) LPVG_FIELD(lpvg_control_coeff_t, member)
-#define LPVG_STATE(member) LPVG_FIELD(lpvg_ecu_t, member)
+#define LPVG_WORDS(name, first) {"words: " name, offsetof(lpvg_coeff_t, words.first)}
+#define LPVG_REALS(name, first) {"reals: " name, offsetof(lpvg_coeff_t, reals.first)}
+#define LPVG_STATE(name, first) {name, offsetof(lpvg_ecu_t, first)}
 
 const std::vector<Field> model_fields = {
     {"words: magic to crc32", 0U},
-    LPVG_WORD(sample_period_us),
-    LPVG_WORD(settle_samples),
-    LPVG_WORD(confirm),
-    LPVG_WORD(of_last),
-    LPVG_WORD(energy_settle),
-    LPVG_WORD(energy_rearm),
-    LPVG_WORD(change_rearm),
-    LPVG_WORD(frame_length),
-    LPVG_WORD(cycles),
-    LPVG_WORD(pool_parts),
-    LPVG_WORD(pool_frames),
-    LPVG_WORD(varying_entry),
-    LPVG_REAL(speed_min),
-    LPVG_REAL(speed_valid),
-    LPVG_REAL(input_valid),
-    LPVG_REAL(output_valid),
-    LPVG_REAL(speed_tolerance),
-    LPVG_REAL(input_offset),
-    LPVG_REAL(output_offset),
-    LPVG_REAL(base),
-    LPVG_REAL(cell),
-    LPVG_REAL(C),
-    LPVG_REAL(C_pinv),
-    LPVG_REAL(turn),
-    LPVG_REAL(taper),
-    LPVG_REAL(scale),
-    LPVG_REAL(energy_corner),
-    LPVG_REAL(energy_W),
-    LPVG_REAL(energy_scale),
-    LPVG_REAL(energy_forget),
-    LPVG_REAL(energy_start),
-    LPVG_REAL(energy_direction),
-    LPVG_REAL(energy_threshold),
-    LPVG_REAL(energy_certificate),
-    LPVG_REAL(change_block_s),
-    LPVG_REAL(change_unit),
-    LPVG_REAL(change_prior),
-    LPVG_REAL(change_scale),
-    LPVG_REAL(change_forget),
-    LPVG_REAL(change_threshold),
-    LPVG_REAL(W_delta),
-    LPVG_REAL(B_w),
-    LPVG_REAL(W_certificate),
-    LPVG_REAL(B_certificate),
-    LPVG_REAL(pool_scale),
-    LPVG_REAL(threshold),
+    LPVG_WORDS("sample_period_us to change_rearm", sample_period_us),
+    LPVG_WORDS("frame_length to varying_entry", frame_length),
+    LPVG_REALS("speed_min to output_offset", speed_min),
+    LPVG_REALS("base to C_pinv", base),
+    LPVG_REALS("turn to scale", turn),
+    LPVG_REALS("energy_corner to energy_certificate", energy_corner),
+    LPVG_REALS("change_block_s to change_threshold", change_block_s),
+    LPVG_REALS("W_delta to threshold", W_delta),
 };
-const std::vector<Field> control_fields = {
-    {"words", 0U},          LPVG_CONTROL(reals.speed_min), LPVG_CONTROL(reals.u_max), LPVG_CONTROL(reals.rate_max),
-    LPVG_CONTROL(reals.A1), LPVG_CONTROL(reals.engage),    LPVG_CONTROL(reals.BL),
-};
+const std::vector<Field> control_fields = {{"words", 0U}, {"reals", offsetof(lpvg_control_coeff_t, reals)}};
 const std::vector<Field> state_fields = {
-    LPVG_STATE(kept),
-    LPVG_STATE(inverted),
-    LPVG_STATE(sum),
-    LPVG_STATE(crc),
-    LPVG_STATE(supervisor),
-    LPVG_STATE(plausibility),
-    LPVG_STATE(signals),
-    LPVG_STATE(expected),
-    LPVG_STATE(control),
-    LPVG_STATE(monitor.coeff),
-    LPVG_STATE(monitor.model),
-    LPVG_STATE(monitor.energy),
-    LPVG_STATE(monitor.energy_quiet),
-    LPVG_STATE(monitor.change),
-    LPVG_STATE(monitor.change_quiet),
-    LPVG_STATE(monitor.bin),
-    LPVG_STATE(monitor.frame),
-    LPVG_STATE(monitor.record),
-    LPVG_STATE(monitor.n_records),
-    LPVG_STATE(monitor.settled),
-    LPVG_STATE(monitor.block),
-    LPVG_STATE(monitor.signal),
-    LPVG_STATE(monitor.newest),
-    LPVG_STATE(monitor.queue),
-    LPVG_STATE(monitor.parts),
-    LPVG_STATE(monitor.t_us),
-    LPVG_STATE(monitor.running),
-    LPVG_STATE(monitor.bad_samples),
-    LPVG_STATE(report),
-    LPVG_STATE(now_us),
-    LPVG_STATE(clock),
-    LPVG_STATE(dm1_us),
-    LPVG_STATE(watch),
-    LPVG_STATE(share),
-    LPVG_STATE(causes),
+    LPVG_STATE("kept to crc", kept),         LPVG_STATE("supervisor to expected", supervisor),
+    LPVG_STATE("control", control),          LPVG_STATE("monitor: coeff to change_quiet", monitor.coeff),
+    LPVG_STATE("monitor: bin", monitor.bin), LPVG_STATE("monitor: frame to bad_samples", monitor.frame),
+    LPVG_STATE("report to dm1_us", report),  LPVG_STATE("watch to causes", watch),
 };
 
 // What the flips in a field did.
