@@ -473,6 +473,8 @@ TEST_CASE("a window is one line that says what to do", "[REQ-ISO-5]") {
     CHECK(line_of(one).find("since about 0 s;") != std::string::npos);
     one.from_us = 1030000000;
     CHECK(line_of(one).find("since about 1030 s;") != std::string::npos);
+    one.from_us = -12000000;
+    CHECK(line_of(one).find("since about -11 s;") != std::string::npos);
     const struct {
         double x;
         const char* text;

@@ -487,6 +487,10 @@ public:
         }
     }
     void add_whole(int64_t x) {
+        if (x < 0) {
+            add("-");
+            x = -x;
+        }
         int64_t power = 1;
         while (x / power >= 10) {
             power *= 10;

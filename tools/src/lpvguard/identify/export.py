@@ -26,15 +26,16 @@ def export_vehicle(
         If the folder may not be replaced, or a part is not valid.
     """
     coefficients, manifest = stored.coefficients, stored.manifest
-    bound_setting = [manifest["sha256"][name] for name in manifest["drives"]["bounds"]]
+    hashes, names = manifest["sha256"], manifest["drives"]["bounds"]
+    bound_setting = [hashes[name][: artefacts.SHORT_HASH] for name in names]
     weights = {
         name: [{key: w[key] for key in ("weight", "omega_rad_s", "bound")} for w in stored.weights[name]]
-        for name in ("W_w", "W_delta", "W_delta_healthy")
+        for name in ("W_delta", "W_delta_healthy")
         if name in stored.weights
     }
     provenance = {
         "kind": "vehicle",
-        "identification": {"seal": manifest["seal"], "bound_setting_sha256": bound_setting},
+        "identification": {"seal": manifest["seal"], "bound_setting": bound_setting},
         "energy_test": {k: v for k, v in stored.energy_of_core.to_dict().items() if k != "calibration"},
         "final_inflation": stored.weights["inflation"],
         "weights": weights,

@@ -95,12 +95,13 @@ def calibrated_state(
     Recordings that are too short are also left out. Raises InputError if no recording remains.
     """
     identification = artefacts.read_manifest(replayer.core.folder, "vehicle").get("identification", {})
-    setting = identification.get("bound_setting_sha256", [])
+    setting = identification.get("bound_setting", [])
     listed = Listed.from_folder(folder)
     sets = {
         e.recording
         for e in listed.experiments
-        if e.split in replayer.project.data.bound_split or artefacts.file_hash(e.path) in setting
+        if e.split in replayer.project.data.bound_split
+        or artefacts.file_hash(e.path)[: artefacts.SHORT_HASH] in setting
     }
     left_out = {**listed.left_out, **dict.fromkeys(sorted(sets), "set the bounds")}
     chosen = [e for e in listed.experiments if e.recording not in sets]
