@@ -442,7 +442,8 @@ bool allowed(lpvg_ecu_t& self, bool live) {
     if (releasing != 0U && self.was_engaged) {
         self.caused_us = self.core_us;
     }
-    const bool wait = self.core_us - self.caused_us < LPVG_ECU_WAIT_US;
+    // Without signs: a damaged time is long ago, so no loop waits for ever.
+    const bool wait = static_cast<uint64_t>(self.core_us) - static_cast<uint64_t>(self.caused_us) < LPVG_ECU_WAIT_US;
     const bool unhindered = releasing == 0U && !wait && !self.kept.locked;
     const bool permitted = unhindered && (self.permitted || may_begin(self));
     const uint32_t more = (wait ? LPVG_ECU_CAUSE_WAIT : 0U) | (self.kept.locked ? LPVG_ECU_CAUSE_LOCKED : 0U) |

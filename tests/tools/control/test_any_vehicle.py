@@ -140,7 +140,7 @@ def test_the_yaw_rate_of_the_nominal_car_follows_the_command(stored, designed):
 
 def test_without_a_design_at_identification_the_command_is_missing(stored):
     bare = replace(stored, fitted=replace(stored.fitted, W_C=[]))
-    with pytest.raises(InputError, match=r"W_C: missing: identified without a \[design\] table"):
+    with pytest.raises(InputError, match=r"W_C: missing, because the identification had no \[design\] table"):
         _ = DesignProblem.from_identification(bare).weights
 
 

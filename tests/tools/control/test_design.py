@@ -151,7 +151,7 @@ def test_a_stated_number_that_is_not_what_is_proved_is_refused(
         ({"product": 0.6}, "largest_A_t.product"),
         ({"worst": 1.0}, "largest_A_t: A_t 100 with mu 1,"),
         ({"failed": 99.0}, "largest_A_t: A_t 100"),
-        ({"failed": 201.0}, "up to 200"),
+        ({"failed": 201.0}, "at most 200"),
         ({"dc_floor": None}, "dc_floor: None"),
     ],
 )

@@ -222,7 +222,7 @@ def test_each_difference_to_the_paper_is_one_sentence_that_the_weights_explain(c
     difference = differences(case, rows)
     assert all(text.count(". ") == 0 and text.endswith(".") for text in difference)
     assert "calibrated" in difference[0] and f"{rows[0].floor.value:.5f}" in difference[0]
-    scale = float(re.search(r"uncertainty weights ([\d.]+) times", difference[2]).group(1))
+    scale = float(re.search(r"uncertainty weights were ([\d.]+) times", difference[2]).group(1))
     grown = case | {k: case[k] | {"gain": case[k]["gain"] * scale} for k in ("W_delta_i", "W_delta_s")}
     assert mu_floor(case_plant(grown, OBJECTIVE, "K_is"), 0.0).at == pytest.approx(rows[2].paper, abs=2e-3)
     assert (

@@ -400,7 +400,7 @@ def test_class_S0_is_given_no_uncertainty_and_drives_of_commands_must_be_there(t
     (tmp_path / "experiments.csv").write_text("experiment,split\na,train\nb,sweep\n")
     document = vehicle.project.model_dump(by_alias=True)
     document["data"] |= {"bound_split": ["train", "sweep", "town"], "command_split": ["town"]}
-    with pytest.raises(InputError, match=r"no drive has split town, of data\.command_split"):
+    with pytest.raises(InputError, match=r"no drive has split town, from data\.command_split"):
         identify(parse_project(document, "toy"), tmp_path)
     with pytest.raises(InputError, match="command_split must be among bound_split"):
         parse_project({**document, "data": {"bound_split": ["train"], "command_split": ["town"]}}, "toy")

@@ -190,7 +190,7 @@ def test_the_grid_of_the_response_holds_what_the_runs_do(truck):
 def test_a_certificate_about_more_than_the_weight_is_refused(truck):
     design = truck.design.model_copy(update={"structure": "K_is"})
     stored = SimpleNamespace(project=truck.model_copy(update={"design": design}), fitted=None)
-    with pytest.raises(InputError, match="not about W_delta alone"):
+    with pytest.raises(InputError, match="its certificate needs more than W_delta"):
         trucks.CertifiedSet.from_identification(stored)
 
 

@@ -133,7 +133,7 @@ def answers(case: Case, page: str) -> Reader:
 def test_a_reader_finds_the_answers_on_the_first_screen(case, page):
     reader = answers(case, page)
     rate = reader.found["alarm-rate"].text
-    assert rate.startswith("Alarms without a fault: ") and "none measured" in rate
+    assert rate.startswith("Alarms without a fault: ") and "not measured" in rate
     assert page.index('id="alarm-rate"') < page.index('id="headline"')
     assert "weak" in reader.found["alarms"].text and reader.found["headline"].text.startswith("Falsified")
     assert "None on this page" in reader.found["promise"].text

@@ -155,10 +155,6 @@ def reading(path: Path) -> Iterator[None]:
         raise InputError(path, "", what, "the file as lpvguard writes it") from None
 
 
-SHORT_HASH = 16
-"""Number of digits of a drive's SHA-256 in the manifest of a generated folder."""
-
-
 def file_hash(path: Path) -> str:
     """Return the SHA-256 of a file's bytes; of a folder, that of its files' hashes.
 

@@ -8,6 +8,9 @@ from ..core.control_coefficients import ControllerCoefficients
 from .identification import ISOLATION, StoredIdentification
 from .isolation_table import isolation_table, parts_header
 
+SHORT_HASH = 16
+"""Number of digits of a drive's SHA-256 in the manifest of a generated folder."""
+
 
 def export_vehicle(
     stored: StoredIdentification, target: Path, controller: ControllerCoefficients | None = None
@@ -27,16 +30,17 @@ def export_vehicle(
     """
     coefficients, manifest = stored.coefficients, stored.manifest
     hashes, names = manifest["sha256"], manifest["drives"]["bounds"]
-    bound_setting = [hashes[name][: artefacts.SHORT_HASH] for name in names]
+    bound_setting = [hashes[name][:SHORT_HASH] for name in names]
     weights = {
         name: [{key: w[key] for key in ("weight", "omega_rad_s", "bound")} for w in stored.weights[name]]
         for name in ("W_delta", "W_delta_healthy")
         if name in stored.weights
     }
+    energy = stored.energy_of_core.to_dict()
     provenance = {
         "kind": "vehicle",
         "identification": {"seal": manifest["seal"], "bound_setting": bound_setting},
-        "energy_test": {k: v for k, v in stored.energy_of_core.to_dict().items() if k != "calibration"},
+        "energy_test": {k: v for k, v in energy.items() if k not in ("calibration", "certificate")},
         "final_inflation": stored.weights["inflation"],
         "weights": weights,
         "project": stored.project.model_dump(by_alias=True),

@@ -18,6 +18,7 @@ from ...base.errors import InputError
 from ...base.parallel import Map
 from ...base.rates import per_hour, rate
 from ...drives.tables import Experiment, index_column, list_experiments, set_aside, table_hashes
+from ...identify.export import SHORT_HASH
 from ...replay.replayer import Replayer
 from .scores import Scored, recordings_of, require_new
 from .state import FleetState, Member, Terms
@@ -100,8 +101,7 @@ def calibrated_state(
     sets = {
         e.recording
         for e in listed.experiments
-        if e.split in replayer.project.data.bound_split
-        or artefacts.file_hash(e.path)[: artefacts.SHORT_HASH] in setting
+        if e.split in replayer.project.data.bound_split or artefacts.file_hash(e.path)[:SHORT_HASH] in setting
     }
     left_out = {**listed.left_out, **dict.fromkeys(sorted(sets), "set the bounds")}
     chosen = [e for e in listed.experiments if e.recording not in sets]

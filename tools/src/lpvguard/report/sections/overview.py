@@ -56,7 +56,7 @@ def overview_section(
 def _rate(stored: StoredIdentification, evaluation: dict | None) -> str:
     """Alarms an hour without a fault: promised and, where an evaluation is at hand, measured."""
     words = (
-        f"alarms without a fault: {stored.calibration.claim()}; none measured, as --evaluation tells them"
+        f"alarms without a fault: {stored.calibration.claim()}; not measured without --evaluation"
         if evaluation is None
         else alarm_words(evaluation)
     )
