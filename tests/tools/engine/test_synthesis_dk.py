@@ -225,10 +225,7 @@ def test_each_difference_to_the_paper_is_one_sentence_that_the_weights_explain(c
     scale = float(re.search(r"uncertainty weights were ([\d.]+) times", difference[2]).group(1))
     grown = case | {k: case[k] | {"gain": case[k]["gain"] * scale} for k in ("W_delta_i", "W_delta_s")}
     assert mu_floor(case_plant(grown, OBJECTIVE, "K_is"), 0.0).at == pytest.approx(rows[2].paper, abs=2e-3)
-    assert (
-        "limited by the control effort" in difference[1]
-        and "limited by the control effort" not in difference[2]
-    )
+    assert "the control effort limits" in difference[1] and "the control effort limits" not in difference[2]
     assert "rounded" in difference[5] and rows[5].floor.value > rows[5].reference
 
 
