@@ -154,9 +154,9 @@ static bool take_from_firmware(void* driver, const lpvg_can_frame_t* frame) {
             ++broken[rule_report];
         } else {
             demand = number;
-            verdict = said.monitor_verdict;
-            supervision = said.supervision_state;
-            engagement = said.engagement;
+            verdict = (uint8_t)said.monitor_verdict;
+            supervision = (uint8_t)said.supervision_state;
+            engagement = (uint8_t)said.engagement;
         }
         counter_due = (uint8_t)((counter_due + 1u) % LPVG_CAN_COUNTERS);
     }

@@ -237,7 +237,8 @@ const lpvg_frame_t* lpvg_monitor_frame(const lpvg_monitor_t* self);
 /// While LPVG_NRECORDS records wait, further ones are only counted (`records_lost`).
 bool lpvg_monitor_take_record(lpvg_monitor_t* self, lpvg_frame_t* record);
 
-/// Discards the evidence. Every bin begins a new frame; only frames that begin after the call can make the verdict valid.
+/// Discards the evidence. Every bin begins a new frame; only frames that begin after the call can make the verdict valid. Their first
+/// block may hold up to LPVG_NBLOCK - 1 samples from before the call.
 /// Falsifications and changes are kept. A gap in the samples has the same effect. Does nothing for NULL and before init.
 void lpvg_monitor_void(lpvg_monitor_t* self);
 

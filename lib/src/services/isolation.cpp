@@ -486,17 +486,14 @@ public:
             add(*words);
         }
     }
-    void add_whole(int64_t x) {
-        if (x < 0) {
-            add("-");
-            x = -x;
+    void add_whole(int32_t x) {
+        add(x < 0 ? "-" : "");
+        uint32_t size = x < 0 ? 0U - static_cast<uint32_t>(x) : static_cast<uint32_t>(x), power = 1U;
+        while (size / power >= 10U) {
+            power *= 10U;
         }
-        int64_t power = 1;
-        while (x / power >= 10) {
-            power *= 10;
-        }
-        for (; power > 0; power /= 10) {
-            add(digit[x / power % 10]);
+        for (; power > 0U; power /= 10U) {
+            add(digit[size / power % 10U]);
         }
     }
     // Three digits at most, as "%+.3g" of C.
@@ -838,7 +835,8 @@ extern "C" size_t lpvg_isolation_line(const lpvg_parts_t* parts, const lpvg_part
         line.add(")");
     }
     line.add(", since about ");
-    line.add_whole((parts->from_us + 500000) / 1000000);
+    const float seconds = 1e-6F * static_cast<float>(parts->from_us);
+    line.add_whole(static_cast<int32_t>(std::fmax(-2e9F, std::fmin(2e9F, std::round(seconds)))));
     line.add(" s");
     for (std::size_t k = 0U; k < count; ++k) {
         line.add("; check ");
