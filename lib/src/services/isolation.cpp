@@ -836,7 +836,8 @@ extern "C" size_t lpvg_isolation_line(const lpvg_parts_t* parts, const lpvg_part
     }
     line.add(", since about ");
     const float seconds = 1e-6F * static_cast<float>(parts->from_us);
-    line.add_whole(static_cast<int32_t>(std::fmax(-2e9F, std::fmin(2e9F, std::round(seconds)))));
+    const float limited = seconds < -2e9F ? -2e9F : seconds > 2e9F ? 2e9F : seconds;
+    line.add_whole(static_cast<int32_t>(limited + (limited < 0.0F ? -0.5F : 0.5F)));
     line.add(" s");
     for (std::size_t k = 0U; k < count; ++k) {
         line.add("; check ");
