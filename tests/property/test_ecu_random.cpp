@@ -202,7 +202,7 @@ public:
     bool may_be_valid() const {
         const int64_t shortest = *std::min_element(lpvg_coeff.words.frame_length, lpvg_coeff.words.frame_length + LPVG_NBINS);
         return pace == lpvg_ecu_pace_good && in_range_ && !falsified_ && core_us_ - newest_live_us_ <= 5 * tick_us &&
-               core_us_ - void_us_ >= (shortest - LPVG_NBLOCK) * tick_us;  // n samples; a block may hold some from before the release
+               core_us_ - void_us_ >= (shortest - 1) * tick_us;  // n samples from the step of the release on
     }
     bool must_be_invalid() const { return falsified_ && pace != lpvg_ecu_pace_bad; }
 

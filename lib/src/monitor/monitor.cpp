@@ -463,9 +463,9 @@ void judge_change(lpvg_monitor_t& self, const lpvg_sample_t& sample) {
     }
 }
 
-// Gives a whole block to the change test, or restarts the test after a gap. The newest sample ends the block.
-void take_block(lpvg_monitor_t& self, lpvg_reason_t reason) {
-    if (self.n_block == n_block && reason == lpvg_reason_none) {
+// Gives the block that the newest sample ends to the change test, or restarts the test if a sample of it came before settling.
+void take_block(lpvg_monitor_t& self) {
+    if (self.settled >= n_block && self.settled - n_block >= self.coeff->words.settle_samples) {
         lpvg_change_take(&self.change, taken_signal(self, 0U));
     } else {
         lpvg_change_start(&self.change);
@@ -479,6 +479,7 @@ void void_evidence(lpvg_monitor_t& self, int64_t t_us) {
         bin.has_before = false;
         empty_pool(bin);
     }
+    self.n_block = 0U;  // samples that no bin has taken up belong to no frame any more
     self.has_evidence = false;
     self.t_void_us = t_us;
 }
@@ -488,7 +489,6 @@ void start(lpvg_monitor_t& self, const lpvg_sample_t& sample) {
     lpvg_energy_start(&self.energy);
     lpvg_change_start(&self.change);
     void_evidence(self, sample.t_us);
-    self.n_block = 0U;
     self.settled = 0U;
     self.running = true;
     ++self.restarts;
@@ -622,7 +622,7 @@ extern "C" lpvg_status_t lpvg_monitor_push(lpvg_monitor_t* self, const lpvg_samp
         judge_energy(*self, *sample);
     }
     if (self->newest == n_block - 1U) {
-        take_block(*self, whole.reason);
+        take_block(*self);
     } else if (self->change.pending > 0U && !judges && ended == 0U) {
         judge_change(*self, *sample);
     }
