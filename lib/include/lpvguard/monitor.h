@@ -196,7 +196,7 @@ typedef struct lpvg_monitor_t {
     lpvg_taken_t block[LPVG_NBLOCK];          ///< newest samples, a ring
     /// e, then yhat of the newest samples: the ring twice, so that a block is in one piece. [output unit]
     lpvg_real_t signal[2 * LPVG_NBLOCK][2 * LPVG_NY];
-    uint32_t newest, n_block;                 ///< index of the newest entry; number of entries since a start or a void, at most LPVG_NBLOCK
+    uint32_t newest, n_block;                 ///< index of the newest entry; number of entries since a start or a void
     uint32_t queue[LPVG_NBINS];               ///< bins whose frames wait to be judged, a ring
     uint32_t queue_first, n_queue;            ///< index of the first bin in the queue; number of bins in it
     uint32_t parts;                           ///< finished parts of the judgement of the first bin

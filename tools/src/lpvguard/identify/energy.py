@@ -235,7 +235,7 @@ class EnergyTest:
 
     @property
     def single(self) -> bool:
-        """Whether each output has a separate Delta. Every direction then is one output."""
+        """True if each output has a separate Delta. Every direction is then one output."""
         return len(self.W) > 1
 
     @property

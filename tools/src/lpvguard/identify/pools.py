@@ -377,7 +377,7 @@ class Pools:
         return {}, words, {"pool_scale": self.scale()}
 
     def speeds_text(self) -> str:
-        """Where the bounds are those of a part's speeds, and where those of all speeds, in words."""
+        """State in words how many bounds come from a part's speeds and how many from all speeds."""
         own, parts = int(self.own.sum()), self.own.size
         text = f"pools: bounds of their own speeds in {own} of {parts} parts of the speed range and bins"
         few = f"; fewer than {FEWEST_OF_SPEED} recordings set the others, which have those of all speeds"

@@ -66,7 +66,7 @@ class Premise:
 
     @property
     def doubtful(self) -> bool:
-        """Whether such a drive allows an error above W_delta."""
+        """Tell if such a drive allows an error above W_delta."""
         return self.doubting.ratio < 1
 
     def sentence(self) -> str:

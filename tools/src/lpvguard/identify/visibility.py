@@ -220,6 +220,6 @@ def _delay(gain_error: float | None, omega: float) -> float | None:
 
 
 def _seen(gain_error: list[float | None], error: np.ndarray) -> bool | None:
-    """Whether an error of size ``error`` (K,) is visible in any bin, or None where the cell has no frames."""
+    """Tell if an error of size ``error`` (K,) is visible in any bin, or None where the cell has no frames."""
     known = [(g, e) for g, e in zip(gain_error, error, strict=False) if g is not None]
     return any(e > g for g, e in known) if known else None

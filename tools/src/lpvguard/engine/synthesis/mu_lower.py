@@ -412,5 +412,5 @@ def _make_real(M: np.ndarray, vary: Callable[[float], np.ndarray], start: comple
 
 
 def _is_singular(M: np.ndarray, delta: np.ndarray) -> bool:
-    """Whether det(I − M Δ) = 0 after a relative change of at most ``SINGULAR_RTOL`` of the entries of M."""
+    """Tell if det(I − M Δ) = 0 after a relative change of at most ``SINGULAR_RTOL`` of the entries of M."""
     return is_singular(M, delta, SINGULAR_RTOL * np.abs(M))

@@ -157,7 +157,7 @@ class LimitedLoop:
 
     @property
     def stable(self) -> bool:
-        """Whether the loop is stable with the middle of the sector in place of the dead zone."""
+        """Tell if the loop is stable with the middle of the sector in place of the dead zone."""
         return self.system.stability_margin() > 0
 
     def stability(self) -> ConstantScalings:
