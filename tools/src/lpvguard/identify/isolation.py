@@ -63,7 +63,7 @@ ROUNDS = 60
 class PartColumn:
     """One possible change of a part, for example the gain of a sensor.
 
-    Its column holds the effect of a unit size on the errors. Its column holds the effect on the errors.
+    Its column holds the effect of a unit size on the errors.
 
     Attributes
     ----------
@@ -380,7 +380,7 @@ class PartFinding:
         if not self.differs:
             return "no part differs"
         if not self.parts:
-            return "no single part explains the difference"
+            return "no single part explains it"
         if len(self.parts) > 1:
             return f"one of {', '.join(self.parts)}"
         unit = f" {self.unit}" if self.unit else ""
