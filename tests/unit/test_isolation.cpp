@@ -475,6 +475,10 @@ TEST_CASE("a window is one line that says what to do", "[REQ-ISO-5]") {
     CHECK(line_of(one).find("since about 1030 s;") != std::string::npos);
     one.from_us = -12000000;
     CHECK(line_of(one).find("since about -12 s;") != std::string::npos);
+    one.from_us = std::numeric_limits<int64_t>::max();
+    CHECK(line_of(one).find("since about 2000000000 s;") != std::string::npos);
+    one.from_us = std::numeric_limits<int64_t>::min();
+    CHECK(line_of(one).find("since about -2000000000 s;") != std::string::npos);
     const struct {
         double x;
         const char* text;
