@@ -2,12 +2,18 @@
 the threshold."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from lpvguard.drives.frames import Estimator
 from lpvguard.engine.validation import s1
-from lpvguard.identify.visibility import PERCENTILE, SPEED_CELLS, Excitation, visibility
+from lpvguard.identify.change import BLOCK, Blocks, ChangeTest
+from lpvguard.identify.narrow_error import in_bins, narrow_excitation
+from lpvguard.identify.visibility import PERCENTILE, SPEED_CELLS, Excitation, speed_cell, visibility
+from lpvguard.vehicle.nominal import NominalModel
+from lpvguard.vehicle.project import load_project
 
 OMEGA = np.array([0.0, 0.7, 2.0, 9.0])
 SPEEDS = (4.0, 19.0)
@@ -122,3 +128,41 @@ def test_the_strongest_frame_is_at_least_as_telling_and_inflation_scales_what_is
     )
     for left, right in zip(a["at_percentile"], b["at_percentile"], strict=False):
         assert left["gain_error"] == pytest.approx(right["gain_error"], rel=1e-12)
+
+
+def test_change_test_shows_a_gain_error_in_one_bin():
+    """In the definition: with the smallest visible error as the only one, the ratio reaches the threshold."""
+    project, random = load_project("g80"), np.random.default_rng(5)
+    estimator = Estimator.from_project(project, NominalModel(project))
+    test = replace(ChangeTest.design(project), size=np.full((1, 3), 0.02))
+    N = 20_000
+    turns = np.arange(1, 1200)[:, None] / N * 2 * np.pi
+    waves = np.cos(turns * np.arange(N) + random.uniform(0, 2 * np.pi, turns.shape))
+    v, yhat = np.full(N, 9.0), (waves / np.arange(10, 1209)[:, None]).sum(axis=0)[:, None]
+    parts = in_bins(yhat, estimator.omega, project.Ts_s)
+    np.testing.assert_allclose(parts.sum(axis=0), yhat, atol=1e-9)
+    excitation = narrow_excitation(test, "drive", yhat, v, estimator)
+    cell = int(speed_cell(estimator.speed_range, v[:1])[0])
+    for k in (1, 4, 8):
+        of_bin = excitation.strongest["dead"][excitation.strongest["group"] == cell * estimator.n_bins + k]
+        hop = max(1, int(estimator.hop[k]) // BLOCK)
+        for factor in (0.5, 1.0):
+            error = -factor / of_bin[0] * parts[k]
+            ratios = [
+                np.abs(test.estimates(b)[::hop] / test.size).max()
+                for b in Blocks.stretches(error, yhat, estimator.settled(v))
+            ]
+            assert max(ratios) == pytest.approx(factor, rel=1e-9)
+
+
+def test_any_test_that_sees_an_error_makes_it_visible():
+    frames = case(1)
+    met = Excitation.from_frames("drive", SPEEDS, *frames[:3], W_DELTA, frames[-1], np.arange(400))
+    group = np.array([0, BINS + 2])
+    rows = {"group": group, "hash": group.astype(np.uint64), "dead": np.array([1e3, 1e-3])}
+    other = Excitation.of_rows(np.zeros((SPEED_CELLS, BINS), int), rows, rows)
+    alone = visibility(OMEGA, SPEEDS, met, W_DELTA, THRESHOLD)["at_percentile"]
+    both = visibility(OMEGA, SPEEDS, met, W_DELTA, THRESHOLD, others=[(other, 2.0)])["at_percentile"]
+    assert both[0]["gain_error"][0] == pytest.approx(2e-3)
+    assert both[1]["gain_error"][2] == alone[1]["gain_error"][2]
+    assert both[0]["gain_error"][1:] == alone[0]["gain_error"][1:]

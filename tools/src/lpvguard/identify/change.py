@@ -146,14 +146,14 @@ class ChangeTest:
         met = 0.999 * self.moments + 0.001 * np.eye(3)
         return PRIOR / (1 - self.keep) * met
 
-    def estimates(self, blocks: Blocks) -> np.ndarray:
-        """theta (M, n_y, 3) [output units] along a stretch, from rest."""
+    def estimates(self, blocks: Blocks, chosen: slice = slice(None)) -> np.ndarray:
+        """theta (m, n_y, 3) [output units] along a stretch, from rest, of the ``chosen`` blocks."""
         phi = blocks.phi / np.concatenate([self.unit, np.ones((len(self.unit), 1))], axis=1)
         products = np.concatenate(
             [phi[..., list(UPPER[0])] * phi[..., list(UPPER[1])], phi * blocks.e[..., None]], axis=-1
         )
-        sums = lfilter([1.0], [1.0, -self.keep], products, axis=0)
-        gram = np.empty((*phi.shape, 3))
+        sums = lfilter([1.0], [1.0, -self.keep], products, axis=0)[chosen]
+        gram = np.empty((*sums.shape[:-1], 3, 3))
         gram[..., UPPER[0], UPPER[1]] = gram[..., UPPER[1], UPPER[0]] = sums[..., : len(UPPER[0])]
         return np.linalg.solve(gram + self.prior, sums[..., len(UPPER[0]) :, None])[..., 0]
 

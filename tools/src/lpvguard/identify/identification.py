@@ -244,7 +244,7 @@ def identify(
         pools=pools,
         diagnosis=run.diagnosis(change, chosen),
         isolation=run.isolation(chosen),
-        visibility=run.visibility(weights, calibration, pools),
+        visibility=run.visibility(weights, calibration, pools, change, chosen),
         spectra=run.spectra,
         bound_drives=[e.name for e in chosen.setting],
         calibration_drives=list(calibration.scores),

@@ -39,6 +39,7 @@ from .passes import (
     isolation_moments_pass,
     isolation_windows_pass,
     judge,
+    narrow_pass,
     pool_needs_pass,
     pool_remainder_pass,
     remainder_pass,
@@ -362,10 +363,25 @@ class OverDrives:
     def _require_scores(self, drives: Chosen, *, judged: bool) -> None:
         require_calibration(self.drives, (e.name for e in drives.others), self.left_out, judged)
 
-    def visibility(self, weights: Weights, calibration: Calibration, pools: Pools | None) -> dict:
+    def visibility(
+        self,
+        weights: Weights,
+        calibration: Calibration,
+        pools: Pools | None,
+        change: ChangeTest | None,
+        drives: Chosen,
+    ) -> dict:
         """Content of visibility.json: the smallest visible errors in each speed cell and bin."""
         estimator, factor = self.reader.estimator, weights.inflation
         W_delta = weights.of_frames(estimator.omega)[0] / factor
+        others = []
+        if pools is not None and self._pooled is not None:
+            others.append((self._pooled, pools.calibration.carried))
+        if change is not None:
+            every = [*drives.setting, *drives.others]
+            narrow = self.over("visibility", partial(narrow_pass, self.reader, change), every)
+            joined = reduce(lambda one, other: Excitation.joined([one, other]), narrow)
+            others.append((joined, change.calibration.carried))
         return visibility(
             estimator.omega,
             estimator.speed_range,
@@ -374,7 +390,7 @@ class OverDrives:
             calibration.carried,
             factor,
             weights.silent,
-            None if pools is None or self._pooled is None else (self._pooled, pools.calibration.carried),
+            others,
         )
 
     @property

@@ -36,6 +36,7 @@ from .error_domain import ErrorDomain
 from .error_sums import ErrorSums, common_fit, common_products, error_sums, sum_of
 from .healthy import needed
 from .isolation import Changes, Isolation, Moments, WindowSums, evidence_windows, moments_of
+from .narrow_error import narrow_excitation
 from .pools import PoolNeeds, PoolSizes, Remainders, needs_of, remainders_of
 from .resolution import resolution_of
 from .visibility import Excitation
@@ -435,6 +436,12 @@ def change_met_pass(reader: DriveReader, test: ChangeTest, experiment: Experimen
     """Return the summary of the estimates of the change test along a drive."""
     drive, e, yhat = reader.read(experiment)
     return estimates_met(test, e, yhat, drive.v, reader.estimator)
+
+
+def narrow_pass(reader: DriveReader, test: ChangeTest, experiment: Experiment) -> Excitation:
+    """Return what the change test shows of gain errors in single bins along a drive."""
+    drive, _, yhat = reader.read(experiment)
+    return narrow_excitation(test, experiment.name, yhat, drive.v, reader.estimator)
 
 
 def diagnosis_pass(reader: DriveReader, unit: np.ndarray, experiment: Experiment) -> Windows:

@@ -1,4 +1,6 @@
-"""Smallest gain and delay error that the frame test can see in each speed cell and bin (T25; THEORY 7.4).
+"""Smallest gain and delay error that a test can see in each speed cell and bin (T25; THEORY 7.4).
+
+The tests are those of frames, of pools and of changes.
 
 Both errors are computed for two excitations: the strongest one of all drives, and a typical one. One counted
 frame in ten exceeds the typical excitation (PERCENTILE). Excitation is ordered by t*(-Z, Z). For one output
@@ -7,7 +9,7 @@ this is the order of |Z|. For several outputs it does not depend on their units.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -110,14 +112,14 @@ def visibility(
     threshold: float,
     inflation: float = 1.0,
     silent: Collection[int] = (),
-    pools: tuple[Excitation, float] | None = None,
+    others: Sequence[tuple[Excitation, float]] = (),
 ) -> dict:
     """Smallest visible errors in each speed cell and bin, as JSON types, with None where no frame counts.
 
-    An error is visible where a frame or a pool of frames shows it. ``omega`` (K,) [rad/s] is 0 at DC.
-    ``W_delta`` (K, n_delta) is the weight behind ``met``, and ``inflation`` is a later factor on it and on
-    B_w. Frames of the bins ``silent`` raise no alarm and show nothing. ``pools`` are the excitation and the
-    threshold of the pools.
+    An error is visible where any test shows it. ``omega`` (K,) [rad/s] is 0 at DC. ``W_delta`` (K, n_delta)
+    is the weight behind ``met``, and ``inflation`` is a later factor on it and on B_w. Frames of the bins
+    ``silent`` raise no alarm and show nothing. ``others`` are the excitation and the threshold of the other
+    tests.
 
     ``at_percentile`` and ``at_strongest`` list the cells. Each cell has lists over the bins. They are
     ``frames``, ``excitation`` (|Z| in output units), ``gain_error`` [-], its ``limit`` (T55) and ``delay_s``.
@@ -125,23 +127,22 @@ def visibility(
     """
     edges = _edges(speed_range)
 
-    def cells(rows: Rows, by_pools: list[tuple[Rows, float]], percentile: float) -> list[dict]:
-        listed = []
+    def cells(which: str, percentile: float) -> list[dict]:
+        rows, listed = getattr(met, which), []
         for c in range(SPEED_CELLS):
             cell = len(omega), c, percentile
             chosen = _chosen(rows, *cell)
             gain = _gains(rows, chosen, threshold * inflation)
             gain = [None if k in silent else g for k, g in enumerate(gain)]
             limit: list[float | None] = [None] * len(omega)
-            for of_pools, level in by_pools:
-                of_cell = _chosen(of_pools, *cell)
-                pooled = _gains(of_pools, of_cell, level)
-                known = [np.nan if i is None else float(of_pools["limit"][i]) for i in of_cell]
-                limit = [None if np.isnan(x) else x for x in known]
-                gain = [
-                    min((g for g in both if g is not None), default=None)
-                    for both in zip(gain, pooled, strict=True)
-                ]
+            for excitation, level in others:
+                shown = getattr(excitation, which)
+                of_cell = _chosen(shown, *cell)
+                seen = zip(gain, _gains(shown, of_cell, level), strict=True)
+                gain = [min((g for g in both if g is not None), default=None) for both in seen]
+                if "limit" in shown:
+                    known = [np.nan if i is None else float(shown["limit"][i]) for i in of_cell]
+                    limit = [None if np.isnan(x) else x for x in known]
             size = [None if i is None else float(rows["size"][i]) for i in chosen]
             speeds = {"speed_mps": [float(edges[c]), float(edges[c + 1])]}
             listed.append(speeds | _cell(omega, met.count[c], size, gain) | {"limit": limit})
@@ -153,10 +154,8 @@ def visibility(
         "sampled_frames": SAMPLED_FRAMES,
         "omega_rad_s": omega.tolist(),
         "gain_error_floor": (threshold * inflation * W_delta.min(axis=1)).tolist(),
-        "at_percentile": cells(
-            met.sample, [] if pools is None else [(pools[0].sample, pools[1])], PERCENTILE
-        ),
-        "at_strongest": cells(met.strongest, [] if pools is None else [(pools[0].strongest, pools[1])], 100),
+        "at_percentile": cells("sample", PERCENTILE),
+        "at_strongest": cells("strongest", 100),
     }
 
 

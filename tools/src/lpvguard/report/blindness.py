@@ -22,10 +22,10 @@ class MapCell:
     bin : int
     omega : float, rad/s, 0 at DC
     frames : int, counted frames
-    gain_error : float or None, smallest gain error that the frame test sees, at the percentile's excitation
-    strongest : float or None, smallest visible gain error at the strongest frame
+    gain_error : float or None, smallest gain error that a test sees, at the percentile's excitation
+    strongest : float or None, smallest visible gain error at the strongest excitation
     limit : float or None, limit of detection for a test that knows the form of the error (THEORY 7.19)
-    floor : float, smallest visible gain error at any excitation
+    floor : float, smallest gain error that a frame of any excitation shows
     alarms : int, number of alarms of the frame test
     """
 

@@ -166,12 +166,12 @@ def _cell_words(cell: MapCell) -> str:
     low, high = cell.speed_mps
     where = f"{low:.3g} to {high:.3g} m/s, {_frequency(cell.omega, ' rad/s')}"
     if cell.gain_error is None:
-        return f"{where}: no frame counted, nothing is known"
+        return f"{where}: nothing judged, nothing is known"
     alarms = f"; alarms of the frame test: {cell.alarms}" if cell.alarms else ""
     limit = "" if cell.limit is None else f"; limit {number(cell.limit)}"
     return (
         f"{where}: smallest visible gain error {number(cell.gain_error)} in one frame of ten, "
-        f"{number(cell.strongest)} in the strongest of {cell.frames}, {number(cell.floor)} at any "
+        f"{number(cell.strongest)} in the strongest of {cell.frames}, {number(cell.floor)} in frames at any "
         f"excitation{limit}{alarms}"
     )
 
@@ -222,7 +222,7 @@ def blind_map(stored: StoredIdentification, grid: list[list[MapCell]], alarms: I
 <p id="map-reading" class="note" aria-live="polite">Point at a cell, or move with the arrow keys, for \
 all its numbers.</p>
 <figcaption><b>What the drives prove, by speed and frequency.</b> Number: the smallest gain error [%] that \
-the frame test sees in one frame of ten (threshold {stored.visibility["threshold"]:.4g}).
+a frame, a pool of frames or the change test sees in one of ten.
 <span class="key {PROVED}">{SIGNS[PROVED]} proved</span> judged, no alarm, and {level} would have been one;
 <span class="key {BLIND}">{SIGNS[BLIND]} blind</span> {level} could stay unseen;
 <span class="key {EMPTY}">{SIGNS[EMPTY]} no data</span>;
@@ -231,7 +231,7 @@ here: the vehicle's ordinary error can hide or add to it.{_limit_words(grid)}</f
 
 
 def _limit_words(grid: list[list[MapCell]]) -> str:
-    """Sentence that compares the limit of detection with what the frame test sees."""
+    """Sentence that compares the limit of detection with what the tests see."""
     pairs = [(c.gain_error, c.limit) for row in grid for c in row if c.limit is not None]
     ratios = [seen / limit for seen, limit in pairs if seen is not None]
     if not ratios:

@@ -91,12 +91,13 @@ most
 least
 as strong. A second table takes Z from the strongest frame. A smaller fault is invisible, unless the \
 excitation is stronger or the vehicle's ordinary
-error adds to it; {stated}. “–”: no frame counted there.</p>{_overall(seen)}
+error adds to it; {stated}. A pool of frames and the change test can see smaller errors. The tables state \
+the smallest that any of the three sees. “–”: none judged there.</p>{_overall(seen)}
 <h3>Smallest visible gain error, per speed and bin, {seen["percentile"]}th percentile</h3>{gain}
 <h3>At the strongest excitation</h3>{gain_strongest}\
 <p class="note">Last line: threshold · W<sub>Δ</sub>. A smaller
-gain error stays invisible with any excitation. If the value is above 1,
- even a vehicle that does not respond is not noticed in that bin.</p>
+gain error stays invisible in frames with any excitation. If the value is above 1,
+ no frame notices even a vehicle that does not respond in that bin.</p>
 <h3>Smallest visible delay [s], per speed and bin, {seen["percentile"]}th percentile</h3>{delay}
 <h3>At the strongest excitation</h3>{delay_strongest}
 <p class="note">“–”: no delay is large enough (g above 2), DC, or no frame.</p>
