@@ -130,7 +130,8 @@ def test_workers_and_order_do_not_change_a_byte(drives, tmp_path):
         "\n".join([head, *np.random.default_rng(1).permutation(rows)]) + "\n"
     )
     other = files(shuffled)
-    for name in ("bounds.json", "front.json", "model_error.json", "weights.json", "visibility.json"):
+    equal = "bounds.json", "front.json", "model_error.json", "weights.json", "change.json", "visibility.json"
+    for name in equal:
         assert other[name] == alone[name], name
     a, b = (json.loads(f["calibration.json"]) for f in (alone, other))
     assert a == b  # scores are listed in the order of the drives

@@ -477,10 +477,10 @@ class OverDrives:
 
     def _change_test(self, drives: Chosen) -> ChangeTest:
         """Change test with sizes from the bound-setting drives."""
-        sums = self.over("change", partial(change_products_pass, self.reader), drives.setting)
-        test = ChangeTest.design(self.reader.project).with_moments(np.sum(list(sums), axis=0))
         # Order the drives by name, because sums of floats depend on the order.
         chosen = sorted(drives.setting, key=lambda e: e.name)
+        sums = self.over("change", partial(change_products_pass, self.reader), chosen)
+        test = ChangeTest.design(self.reader.project).with_moments(np.sum(list(sums), axis=0))
         met = self.over("change", partial(change_met_pass, self.reader, test), chosen)
         return test.with_sizes(reduce(operator.add, met))
 
