@@ -16,6 +16,14 @@
 #else
 #define FIRMWARE_DIAGNOSES 0
 #endif
+/* A vehicle on its own bus: frames of the car become frames of the codec, and the demands go into the car's messages. */
+#if __has_include("lpvg_demand.h")
+#define FIRMWARE_OWN_BUS 1
+#include "lpvg_can_own.h"
+#include "lpvg_demand.h"
+#else
+#define FIRMWARE_OWN_BUS 0
+#endif
 
 LPVG_EXTERN_C_BEGIN
 
@@ -36,12 +44,18 @@ typedef struct firmware_t {
     lpvg_can_auth_t authentication; /* authentication of the command message; not initialised without a key */
     lpvg_can_frame_t in[FIRMWARE_FRAMES_IN];
     uint32_t send_failures; /* saturating */
+#if FIRMWARE_OWN_BUS
+    lpvg_can_own_t own;
+    uint16_t demand_counters[LPVG_DEMAND_MESSAGES];
+    lpvg_demand_frame_t demand_frames[LPVG_DEMAND_MESSAGES]; /* their other bits may be set before a tick */
+#endif
 #if FIRMWARE_DIAGNOSES
     lpvg_diagnosis_t diagnosis;
 #endif
 } firmware_t;
 
-/* The configuration that the simulator and the targets run: engagement is asked for, and every cause releases. */
+/* The configuration that the simulator and the targets run: engagement is asked for, and every cause releases. On a car's own bus, no
+ * message has the measured output of the actuator and the signals of the cross-checks, which therefore do nothing. */
 extern const lpvg_ecu_config_t firmware_config;
 
 /* Makes one end of the authentication of the vehicle's command message. Returns the result of lpvg_can_auth_init. */

@@ -2,14 +2,12 @@
 
 #include <cmath>
 
-#include "lpvguard_plant/plant.hpp"
 #include "lpvguard_plant/random.hpp"
 
 namespace lpvguard_sim {
 namespace {
 
 constexpr double two_pi = 6.283185307179586477;
-constexpr double sample_s = lpvguard_plant::Plant::step_s * lpvguard_plant::Plant::steps_per_sample;
 constexpr double fade_in_s = 5.0;
 constexpr std::uint64_t command_stream = 300;
 constexpr int sines_log = 24;     // dense enough to excite every monitor bin of the band
@@ -17,7 +15,7 @@ constexpr int sines_linear = 48;  // enough for a nearly Gaussian amplitude
 
 }  // namespace
 
-Command::Command(const CommandSettings& settings, std::uint64_t seed) : settings_(settings) {
+Command::Command(const CommandSettings& settings, std::uint64_t seed, double period_s) : settings_(settings), period_s_(period_s) {
     if (settings_.kind != CommandSettings::Kind::multisine) {
         return;
     }
@@ -30,12 +28,12 @@ Command::Command(const CommandSettings& settings, std::uint64_t seed) : settings
         const double omega = settings_.linear_spacing ? settings_.low_radps + place * (settings_.high_radps - settings_.low_radps)
                                                       : settings_.low_radps * std::pow(settings_.high_radps / settings_.low_radps, place);
         const double phase = random.uniform(0.0, two_pi);
-        oscillators_.push_back({std::cos(phase), std::sin(phase), std::cos(omega * sample_s), std::sin(omega * sample_s)});
+        oscillators_.push_back({std::cos(phase), std::sin(phase), std::cos(omega * period_s), std::sin(omega * period_s)});
     }
 }
 
 double Command::next() {
-    const double time_s = static_cast<double>(samples_++) * sample_s;
+    const double time_s = static_cast<double>(samples_++) * period_s_;
     if (settings_.kind == CommandSettings::Kind::steps) {
         return std::fmod(time_s, settings_.period_s) < 0.5 * settings_.period_s ? settings_.amplitude_radps : -settings_.amplitude_radps;
     }
@@ -65,15 +63,21 @@ double Command::on_profile(double time_s) {
     return from_radps + (to_radps - from_radps) * (time_s - from_s) / (to_s - from_s);
 }
 
-double ReferenceModel::step(double command_radps) {
-    constexpr double h = sample_s, w2 = 9.0, d = 5.4;
-    constexpr double a0 = 4.0 + 2.0 * d * h + w2 * h * h;
-    constexpr double a1 = 2.0 * w2 * h * h - 8.0;
-    constexpr double a2 = 4.0 - 2.0 * d * h + w2 * h * h;
-    constexpr double b = w2 * h * h;
-    const double out = (b * (command_radps + 2.0 * in_[0] + in_[1]) - a1 * out_[0] - a2 * out_[1]) / a0;
+ReferenceModel::ReferenceModel(const std::array<double, 6>& coefficients, double period_s) {
+    const double h = period_s;
+    const auto by_rule = [h](const double* of, double* to) {
+        to[0] = 4.0 * of[0] + 2.0 * of[1] * h + of[2] * h * h;
+        to[1] = 2.0 * of[2] * h * h - 8.0 * of[0];
+        to[2] = 4.0 * of[0] - 2.0 * of[1] * h + of[2] * h * h;
+    };
+    by_rule(coefficients.data(), b_);
+    by_rule(coefficients.data() + 3, a_);
+}
+
+double ReferenceModel::step(double command) {
+    const double out = (b_[0] * command + b_[1] * in_[0] + b_[2] * in_[1] - a_[1] * out_[0] - a_[2] * out_[1]) / a_[0];
     in_[1] = in_[0];
-    in_[0] = command_radps;
+    in_[0] = command;
     out_[1] = out_[0];
     out_[0] = out;
     return out;

@@ -1,5 +1,7 @@
 #include "control.hpp"
 
+#include "lpvguard/coeff.h"
+
 namespace lpvguard_sim {
 namespace {
 
@@ -10,6 +12,8 @@ constexpr std::int64_t early_us = 500;  // half a step of the plant, so that rou
 constexpr std::int32_t steps_max = 1'000'000;
 
 }  // namespace
+
+const std::int64_t Control::tick_us = lpvg_coeff.words.sample_period_us;
 
 bool Control::may_tick(std::int64_t now_us, const Revise& revise) {
     if (now_us % report_us == 0) {

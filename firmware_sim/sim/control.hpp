@@ -15,7 +15,7 @@ namespace lpvguard_sim {
 
 class Control {
 public:
-    static constexpr std::int64_t tick_us = 10'000;
+    static const std::int64_t tick_us;  ///< Sample period of the vehicle.
 
     Control(Publisher& publisher, LiveScenario& scenario, bool paused)
         : publisher_(publisher), scenario_(scenario), left_(paused ? 0 : without_end) {}

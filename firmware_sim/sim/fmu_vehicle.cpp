@@ -3,6 +3,7 @@
 #include <cstdio>
 #include <cstdlib>
 #include <map>
+#include <optional>
 #include <stdexcept>
 
 #include <dlfcn.h>
@@ -18,7 +19,6 @@ using lpvguard_plant::Sensors;
 using lpvguard_plant::Truth;
 using lpvguard_plant::Wheel;
 
-constexpr double tick_s = lpvguard_plant::Plant::step_s * lpvguard_plant::Plant::steps_per_sample;
 constexpr int worst_status = 1;  // ok and warning
 
 /// The functions of FMI 2.0 or 3.0 that a vehicle needs. The caller manages the rest of the instance.
@@ -162,32 +162,36 @@ public:
     FmuVehicle(const toml::table& link, const std::string& file, const Scenario& scenario, const std::string& text)
         : fmu_(link, file),
           profile_(scenario.plant.drive.speed_profile),
+          tick_s_(lpvguard_plant::number(*link.get("tick_s"), file, "tick_s")),
           step_s_(lpvguard_plant::number(*link.get("step_s"), file, "step_s")),
           track_m_(link["track_m"].value_or(0.0)),
           inputs_(read_linked(link, "inputs", file)),
-          outputs_(read_linked(link, "outputs", file)) {
+          outputs_(read_linked(link, "outputs", file)),
+          controlled_(link["controlled"].value<std::int64_t>()),
+          values_(outputs_.size()) {
         for (const toml::node& node : *link["parameters"].as_array()) {
             set_parameter(*node.as_table());
         }
         if (const auto reference = link["scenario"].value<std::int64_t>()) {
             fmu_.set<const char*>("String", static_cast<unsigned>(*reference), text.c_str());
         }
-        give(0.0, 0.0);
+        give(0.0, std::vector<double>(inputs_.size()).data());
         fmu_.begin();
         read(0.0);
     }
 
     const Truth& truth() const override { return truth_; }
     const Sensors& sensors() const override { return sensors_; }
-    void advance(double demand_bar) override {
-        const auto steps = std::lround(tick_s / step_s_);
+    const double* values() const override { return controlled_ ? values_.data() : nullptr; }
+    void advance(const double* demand) override {
+        const auto steps = std::lround(tick_s_ / step_s_);
         for (long i = 0; i < steps; ++i) {
-            const double time_s = static_cast<double>(ticks_) * tick_s + static_cast<double>(i) * step_s_;
-            give(time_s, demand_bar);
+            const double time_s = static_cast<double>(ticks_) * tick_s_ + static_cast<double>(i) * step_s_;
+            give(time_s, demand);
             fmu_.step(time_s, step_s_);
         }
         ++ticks_;
-        read(static_cast<double>(ticks_) * tick_s);
+        read(static_cast<double>(ticks_) * tick_s_);
     }
     void revise(const lpvguard_plant::Drive&, const lpvguard_plant::Faults&) override {
         throw std::runtime_error("an FMU's drive and faults cannot be changed while it runs");
@@ -219,21 +223,22 @@ private:
         }
     }
 
-    void give(double time_s, double demand_bar) {
+    void give(double time_s, const double* demand) {
         for (const Linked& input : inputs_) {
-            const double value = input.name == "speed" ? lpvguard_plant::speed_at(profile_, time_s, profile_segment_) : demand_bar;
+            const double value = input.name == "speed" ? lpvguard_plant::speed_at(profile_, time_s, profile_segment_) : *demand++;
             fmu_.set_number(input.reference, (value - input.offset) / input.factor);
         }
     }
 
     void read(double time_s) {
         std::map<std::string, double> seen;
+        auto next = values_.begin();
         for (const Linked& output : outputs_) {
             const double value = output.factor * fmu_.get_number(output.reference) + output.offset;
             if (!std::isfinite(value)) {
                 throw std::runtime_error("the FMU's output for " + output.name + " is not finite at " + std::to_string(time_s) + " s");
             }
-            seen[output.name] = value;
+            seen[output.name] = *next++ = value;
         }
         const auto of = [&](const char* name, double otherwise) {
             const auto found = seen.find(name);
@@ -254,15 +259,17 @@ private:
         s.brake_pressure_left_bar = of("brake_pressure_left", std::fmax(-difference, 0.0));
         s.brake_pressure_right_bar = of("brake_pressure_right", std::fmax(difference, 0.0));
         truth_.speed_mps = of("true_speed", s.speed_mps);
-        truth_.yaw_rate_radps = of("true_yaw_rate", s.yaw_rate_radps);
+        truth_.yaw_rate_radps = controlled_ ? values_[static_cast<std::size_t>(*controlled_)] : of("true_yaw_rate", s.yaw_rate_radps);
         truth_.lateral_acceleration_mps2 = of("true_lateral_acceleration", s.lateral_acceleration_mps2);
         truth_.road_wheel_rad = of("true_road_wheel_angle", 0.0);
     }
 
     Fmu fmu_;
     std::vector<lpvguard_plant::SpeedKnot> profile_;
-    double step_s_, track_m_;
+    double tick_s_, step_s_, track_m_;
     std::vector<Linked> inputs_, outputs_;
+    std::optional<std::int64_t> controlled_;  ///< index of the controlled output, for a vehicle on its own bus
+    std::vector<double> values_;              ///< of the outputs
     std::int64_t ticks_ = 0;
     std::size_t profile_segment_ = 0;
     Truth truth_{};

@@ -13,7 +13,7 @@
 namespace lpvguard_sim {
 namespace {
 
-constexpr std::int64_t tick_us = Control::tick_us;
+const std::int64_t tick_us = lpvg_coeff.words.sample_period_us;
 constexpr int telemetry_every = 10;  // ticks
 constexpr double two_pi = 6.283185307179586477;
 
@@ -43,7 +43,8 @@ void FrameWatcher::take(const lpvg_can_frame_t& frame) {
         publisher_->publish(frame);
     }
     if (log_ != nullptr) {
-        std::fprintf(log_, "(%" PRId64 ".%06" PRId64 ") can0 %08X#", frame.t_us / 1'000'000, frame.t_us % 1'000'000,
+        const int digits = (frame.id & (LPVG_CAN_ERROR | LPVG_CAN_EXTENDED)) != 0U ? 8 : 3;
+        std::fprintf(log_, "(%" PRId64 ".%06" PRId64 ") can0 %0*X#", frame.t_us / 1'000'000, frame.t_us % 1'000'000, digits,
                      frame.id & (LPVG_CAN_ERROR | 0x1FFFFFFFU));
         for (std::size_t i = 0; i < frame.dlc; ++i) {
             std::fprintf(log_, "%02X", frame.data[i]);
@@ -59,11 +60,12 @@ void FrameWatcher::add(std::uint64_t value, int bytes) {
 }
 
 Loop::Loop(const Scenario& scenario, const lpvguard_plant::PlantParameters& parameters, LoopBus& bus, EcuNode& ecu, const LoopEnds& ends,
-           std::unique_ptr<VehicleModel> model)
+           std::unique_ptr<VehicleModel> model, const std::array<double, 6>& reference_model)
     : ticks_(std::llround(scenario.duration_s * 1e6 / static_cast<double>(tick_us))),
       model_(model != nullptr ? std::move(model) : simulated_truck(scenario, parameters)),
       vehicle_(bus.end(LoopBus::vehicle), parameters.steering_ratio, scenario.can_faults, scenario.seed),
-      command_(scenario.command, scenario.seed),
+      command_(scenario.command, scenario.seed, static_cast<double>(tick_us) * 1e-6),
+      wanted_(reference_model, static_cast<double>(tick_us) * 1e-6),
       bus_(bus),
       ecu_(ecu),
       ends_(ends),
@@ -73,7 +75,7 @@ Loop::Loop(const Scenario& scenario, const lpvguard_plant::PlantParameters& para
         std::fputs("t_end_s,t_begin_s,bin,reason,falsified,speed_mps,margin,statistic,evidence,energy_ratio,change_ratio\n", ends_.frames);
     }
     if (ends_.drive != nullptr) {
-        std::fputs("t,v,dp,r,delta\n", ends_.drive);
+        std::fprintf(ends_.drive, "%s\n", ends_.columns.c_str());
     }
     if (ends_.telemetry != nullptr) {
         std::fputs("t_s,speed_mps,command_radps,wanted_radps,yaw_rate_radps,road_wheel_rad,demand_bar,statistic,verdict,supervision\n",
@@ -118,10 +120,14 @@ void Loop::print(std::FILE* out, std::uint64_t seed) {
     std::fprintf(out, "{\"seed\": %" PRIu64 ", \"duration_s\": %.9g, \"threshold\": %.9g, \"verdict_final\": %d,\n", seed,
                  static_cast<double>(ticks_ * tick_us) * 1e-6, static_cast<double>(lpvg_coeff.reals.threshold),
                  verdicts_.list().back().value);
-    std::fprintf(out, " \"tracking_rms\": %.9g, \"command_rms\": %.9g, \"demand_max_bar\": %.9g,\n", std::sqrt(error_squares_ / n),
-                 std::sqrt(wanted_squares_ / n), demand_max_bar_);
+    std::fprintf(out, " \"tracking_rms\": %.9g, \"command_rms\": %.9g, ", std::sqrt(error_squares_ / n),
+                 std::sqrt(wanted_squares_ / n));
+    for (std::size_t i = 0; i < LPVG_NU; ++i) {
+        std::fprintf(out, "%s%.9g", i == 0 ? "\"demand_max\": [" : ", ", demand_max_[i]);
+    }
+    std::fprintf(out, "],\n");
     if (ecu_.inside() != nullptr) {
-        std::fprintf(out, " \"limited_s\": %.9g,\n", static_cast<double>(ecu_.inside()->control.limited) * tick_us * 1e-6);
+        std::fprintf(out, " \"limited_s\": %.9g,\n", static_cast<double>(ecu_.inside()->control.limited) * static_cast<double>(tick_us) * 1e-6);
     }
     std::fprintf(out, " \"frames\": %" PRIu64 ", \"frames_hash\": \"%016" PRIx64 "\", \"real_time_factor\": %.4g,\n", watcher_.count(),
                  watcher_.hash(), real_time_factor_);
@@ -154,14 +160,14 @@ void Loop::tick(std::int64_t k) {
     error_squares_ += (wanted_radps - yaw_rate_radps) * (wanted_radps - yaw_rate_radps);
     wanted_squares_ += wanted_radps * wanted_radps;
 
-    vehicle_.send(now_us, model_->sensors(), command_radps);
+    vehicle_.send(now_us, model_->sensors(), model_->values(), command_radps);
     ecu_.tick(now_us, ends_.publisher != nullptr && k % telemetry_every == 0);
     vehicle_.receive(now_us);
     if (!bus_.failure().empty()) {
         throw std::runtime_error(bus_.failure());
     }
     note(k, time_s, command_radps, wanted_radps);
-    model_->advance(vehicle_.demand_bar());
+    model_->advance(vehicle_.demand());
 }
 
 void Loop::note(std::int64_t k, double time_s, double command_radps, double wanted_radps) {
@@ -171,7 +177,9 @@ void Loop::note(std::int64_t k, double time_s, double command_radps, double want
     verdicts_.take(time_s, report.verdict);
     supervision_.take(time_s, report.supervision);
     troubles_.take(time_s, vehicle_.trouble());
-    demand_max_bar_ = std::fmax(demand_max_bar_, std::fabs(vehicle_.demand_bar()));
+    for (std::size_t i = 0; i < LPVG_NU; ++i) {
+        demand_max_[i] = std::fmax(demand_max_[i], std::fabs(vehicle_.demand()[i]));
+    }
     if (ecu != nullptr) {
         implausible_.take(time_s, ecu->plausibility.flags);
         note_sample(*ecu, k, time_s);
@@ -189,7 +197,7 @@ void Loop::note(std::int64_t k, double time_s, double command_radps, double want
     }
     if (ends_.publisher != nullptr) {
         ends_.publisher->publish(now_us, model_->truth());
-        ends_.publisher->publish(now_us, GuardTelemetry{command_radps, wanted_radps, vehicle_.demand_bar(),
+        ends_.publisher->publish(now_us, GuardTelemetry{command_radps, wanted_radps, *vehicle_.demand(),
                                                         static_cast<double>(report.statistic), report.verdict, report.supervision});
         if (k % telemetry_every == 0) {
             ends_.publisher->publish(now_us, ecu_.supervision(), vehicle_.trouble());
@@ -198,7 +206,7 @@ void Loop::note(std::int64_t k, double time_s, double command_radps, double want
     if (ends_.telemetry != nullptr && k % telemetry_every == 0) {
         const lpvguard_plant::Truth& truth = model_->truth();
         std::fprintf(ends_.telemetry, "%.9g,%.9g,%.9g,%.9g,%.9g,%.9g,%.9g,%.9g,%d,%d\n", time_s, truth.speed_mps, command_radps,
-                     wanted_radps, truth.yaw_rate_radps, truth.road_wheel_rad, vehicle_.demand_bar(), static_cast<double>(report.statistic),
+                     wanted_radps, truth.yaw_rate_radps, truth.road_wheel_rad, *vehicle_.demand(), static_cast<double>(report.statistic),
                      report.verdict, report.supervision);
     }
 }
@@ -220,8 +228,14 @@ void Loop::note_frame(const Judged& judged, std::int64_t now_us, std::uint8_t ve
 /// A sample with a missing or refused measurement never reached the monitor.
 void Loop::note_sample(const lpvg_ecu_t& ecu, std::int64_t k, double time_s) {
     if (ends_.drive != nullptr && ecu.monitor.running && ecu.monitor.t_us == k * tick_us) {
-        std::fprintf(ends_.drive, "%.9g,%.9g,%.9g,%.9g,%.9g\n", time_s, static_cast<double>(ecu.signals.speed),
-                     static_cast<double>(ecu.control.u[0]), static_cast<double>(ecu.signals.y[0]), static_cast<double>(ecu.signals.y[1]));
+        std::fprintf(ends_.drive, "%.9g,%.9g", time_s, static_cast<double>(ecu.signals.speed));
+        for (const lpvg_real_t u : ecu.control.u) {
+            std::fprintf(ends_.drive, ",%.9g", static_cast<double>(u));
+        }
+        for (const lpvg_real_t y : ecu.signals.y) {
+            std::fprintf(ends_.drive, ",%.9g", static_cast<double>(y));
+        }
+        std::fputc('\n', ends_.drive);
     }
 }
 

@@ -4,6 +4,7 @@
 #include <cstdint>
 #include <cstdio>
 #include <memory>
+#include <string>
 #include <utility>
 #include <vector>
 
@@ -65,13 +66,14 @@ struct LoopEnds {
     std::FILE* telemetry = nullptr;  ///< State of the loop every 100 ms.
     Publisher* publisher = nullptr;
     Control* control = nullptr;
+    std::string columns = "t,v,dp,r,delta";  ///< Header of `drive`.
 };
 
 class Loop {
 public:
     /// Without `model` the vehicle is the simulated truck.
     Loop(const Scenario& scenario, const lpvguard_plant::PlantParameters& parameters, LoopBus& bus, EcuNode& ecu, const LoopEnds& ends,
-         std::unique_ptr<VehicleModel> model = nullptr);
+         std::unique_ptr<VehicleModel> model = nullptr, const std::array<double, 6>& reference_model = papers_reference_model);
 
     /// Runs at most at `pace` times real time; 0: as fast as possible. Throws std::runtime_error if the bus or the ECU fails.
     void run(double pace);
@@ -98,8 +100,9 @@ private:
     FrameWatcher watcher_;
     Changes<std::uint8_t> verdicts_, supervision_, implausible_;
     Changes<TroubleCode> troubles_;
+    double demand_max_[LPVG_NU] = {};
     std::vector<std::pair<double, Found>> causes_;  ///< causes with their times
-    double error_squares_ = 0.0, wanted_squares_ = 0.0, demand_max_bar_ = 0.0, real_time_factor_ = 0.0;
+    double error_squares_ = 0.0, wanted_squares_ = 0.0, real_time_factor_ = 0.0;
 };
 
 }  // namespace lpvguard_sim

@@ -2,13 +2,15 @@
 //
 //   lpvguard_sim SCENARIO --parameters TRUCK.toml [--seed N] [--bus memory|socketcan:INTERFACE] [--engage yes|no]
 //                [--reactions release|report] [--ecu PROGRAM] [--pace X] [--log F] [--frames F] [--drive F] [--telemetry F]
-//                [--lcm URL [--start running|paused] [--applied F]] [--plant LINK.toml]
+//                [--lcm URL [--start running|paused] [--applied F]] [--plant LINK.toml] [--reference "B2 B1 B0 A2 A1 A0"] [--columns T,..]
 //
 //   --reactions  report: causes of LPVG_ECU_CAUSES_OPTIONAL do not release, so that the loop continues after a finding
 //                (default: release, the configuration of the firmware)
 //   --ecu        the ECU's firmware is this program (lpvguard_ecu), a separate process on the same CAN interface, in lock-step with
 //                simulated time. Its outputs are then read from the bus and the time line, and --drive stays empty.
 //   --plant      an FMU replaces the vehicle; this file links it (vehicle_model.hpp)
+//   --reference  reference model for the tracking error (command.hpp; default: the paper's)
+//   --columns    header of --drive (default: the truck's)
 //   --pace       at most X times real time (default: as fast as possible)
 //   --log        every frame of the bus in the form of candump -L, with simulated time
 //   --frames     every frame that the monitor judged (CSV)
@@ -19,6 +21,7 @@
 //   --applied    the scenario with the changes of clients; it gives the same frames without clients
 //
 // `lpvguard sim` builds and calls this program, and judges the expectations of the scenario.
+#include <array>
 #include <cerrno>
 #include <cstdio>
 #include <cstring>
@@ -60,7 +63,7 @@ int run(int argc, char** argv) {
             "usage: lpvguard_sim SCENARIO --parameters TRUCK.toml [--seed N] [--engage yes|no] [--reactions release|report] [--ecu "
             "PROGRAM] [--pace X] [--log F] "
             "[--frames F] [--drive F] [--telemetry F] [--lcm URL [--start running|paused] [--applied F]] "
-            "[--bus memory|socketcan:INTERFACE] [--plant LINK.toml]");
+            "[--bus memory|socketcan:INTERFACE] [--plant LINK.toml] [--reference \"B2 B1 B0 A2 A1 A0\"] [--columns T,...]");
     }
     lpvguard_plant::Arguments arguments(argc - 2, argv + 2);
     lpvguard_sim::LiveScenario scenario(argv[1]);
@@ -92,6 +95,12 @@ int run(int argc, char** argv) {
         applied = output_file(arguments.text("--applied", ""));
     }
     const std::string plant = arguments.text("--plant", "");
+    const std::string reference = arguments.text("--reference", "");
+    std::array<double, 6> r = lpvguard_sim::papers_reference_model;
+    if (!reference.empty() && std::sscanf(reference.c_str(), "%lf %lf %lf %lf %lf %lf", &r[0], &r[1], &r[2], &r[3], &r[4], &r[5]) != 6) {
+        throw UsageError("--reference '" + reference + "': expected six numbers");
+    }
+    const std::string columns = arguments.text("--columns", "t,v,dp,r,delta");
     arguments.done();
     std::unique_ptr<lpvguard_sim::VehicleModel> model;
     if (!plant.empty()) {
@@ -99,7 +108,7 @@ int run(int argc, char** argv) {
     }
     const auto loop = std::make_unique<lpvguard_sim::Loop>(
         scenario.now(), parameters, *nodes.bus, *nodes.ecu,
-        lpvguard_sim::LoopEnds{log.get(), frames.get(), drive.get(), telemetry.get(), publisher.get(), control.get()}, std::move(model));
+        lpvguard_sim::LoopEnds{log.get(), frames.get(), drive.get(), telemetry.get(), publisher.get(), control.get(), columns}, std::move(model), r);
     loop->run(pace);
     loop->print(stdout, scenario.now().seed);
     if (applied.get() != nullptr) {

@@ -5,6 +5,10 @@
 #include "lpvg_can_codec.h"
 #include "toml_input.hpp"
 
+#if __has_include("lpvg_rest.h")
+#include "lpvg_rest.h"
+#endif
+
 namespace lpvguard_sim {
 namespace {
 
@@ -20,10 +24,21 @@ struct Named {
     Value value;
 };
 
-constexpr Named<std::uint32_t> messages[] = {
-    {"VDC2", LPVG_CAN_VDC2_ID}, {"EBC2", LPVG_CAN_EBC2_ID}, {"CCVS1", LPVG_CAN_CCVS1_ID},
-    {"EBC3", LPVG_CAN_EBC3_ID}, {"EBC1", LPVG_CAN_EBC1_ID}, {"GUARD_IN", LPVG_CAN_GUARD_IN_ID},
-};
+/// Messages to the controller.
+std::vector<Named<std::uint32_t>> message_names() {
+#ifdef LPVG_REST_H
+    std::vector<Named<std::uint32_t>> names;
+    for (std::size_t i = 0; i < LPVG_REST_MESSAGES; ++i) {
+        names.push_back({lpvg_rest_messages[i].name, lpvg_rest_messages[i].id});
+    }
+    names.push_back({"GUARD_IN", LPVG_CAN_GUARD_IN_ID});
+    return names;
+#else
+    return {{"VDC2", LPVG_CAN_VDC2_ID}, {"EBC2", LPVG_CAN_EBC2_ID}, {"CCVS1", LPVG_CAN_CCVS1_ID},
+            {"EBC3", LPVG_CAN_EBC3_ID}, {"EBC1", LPVG_CAN_EBC1_ID}, {"GUARD_IN", LPVG_CAN_GUARD_IN_ID}};
+#endif
+}
+
 constexpr Named<CommandSettings::Kind> command_kinds[] = {
     {"zero", CommandSettings::Kind::zero},
     {"multisine", CommandSettings::Kind::multisine},
@@ -64,11 +79,11 @@ public:
     }
 
     /// Returns the value of the word at `key`, which must be one of `allowed`.
-    template <class Value, std::size_t count>
-    Value choice(std::string_view key, const Named<Value> (&allowed)[count]) const {
+    template <class Allowed>
+    auto choice(std::string_view key, const Allowed& allowed) const {
         const std::string word = table_[key].value_or(std::string{});
         std::string message = file_ + ": " + where_ + std::string(key) + " = \"" + word + "\": expected one of:";
-        for (const Named<Value>& one : allowed) {
+        for (const auto& one : allowed) {
             if (one.name == word) {
                 return one.value;
             }
@@ -134,7 +149,7 @@ CanFault read_can_fault(const toml::table& table, const std::string& file) {
     const Reader reader(table, file, "can_fault.");
     require_known_keys(table, file, "can_fault.", {"message", "kind", "start_s", "end_s", "probability", "delay_s"});
     CanFault fault;
-    fault.id = reader.choice("message", messages);
+    fault.id = reader.choice("message", message_names());
     fault.kind = reader.choice("kind", can_fault_kinds);
     fault.window.start_s = reader.required("start_s", 0.0, 1e9);
     fault.window.end_s = reader.optional("end_s", fault.window.end_s, fault.window.start_s, 1e9);

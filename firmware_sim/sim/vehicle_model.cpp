@@ -13,9 +13,9 @@ public:
 
     const lpvguard_plant::Truth& truth() const override { return plant_.truth(); }
     const lpvguard_plant::Sensors& sensors() const override { return plant_.sensors(); }
-    void advance(double demand_bar) override {
+    void advance(const double* demand) override {
         for (int i = 0; i < Plant::steps_per_sample; ++i) {
-            plant_.step(demand_bar);
+            plant_.step(*demand);
         }
     }
     void revise(const lpvguard_plant::Drive& drive, const lpvguard_plant::Faults& faults) override { plant_.revise(drive, faults); }

@@ -15,7 +15,8 @@ public:
 
     virtual const lpvguard_plant::Truth& truth() const = 0;
     virtual const lpvguard_plant::Sensors& sensors() const = 0;
-    virtual void advance(double demand_bar) = 0;  ///< Advances by one tick of 10 ms. Throws std::runtime_error.
+    virtual const double* values() const { return nullptr; }  ///< Speed and outputs of a vehicle on its own bus, as in its signal table.
+    virtual void advance(const double* demand) = 0;  ///< Advances by one tick, under a demand for each input. Throws std::runtime_error.
     /// Continues with another drive and other faults, as lpvguard_plant::Plant does.
     virtual void revise(const lpvguard_plant::Drive& drive, const lpvguard_plant::Faults& faults) = 0;
 };

@@ -1,7 +1,9 @@
 #include "vehicle_node.hpp"
 
+#include <algorithm>
 #include <cmath>
 #include <cstring>
+#include <iterator>
 #include <stdexcept>
 
 #include "test_key.hpp"
@@ -10,12 +12,7 @@ namespace lpvguard_sim {
 namespace {
 
 constexpr std::uint64_t bus_fault_stream = 200;
-constexpr std::int64_t slow_period_us = 100'000;
 constexpr std::int64_t standby_us = 200'000;  // the vehicle asks for control after this time
-constexpr double kmh_per_mps = 3.6;
-constexpr double kpa_per_bar = 100.0;
-
-float single(double value) { return static_cast<float>(value); }
 
 void require(lpvg_status_t status) {
     if (status != lpvg_status_ok) {
@@ -48,76 +45,14 @@ void VehicleNode::revise(const std::vector<CanFault>& faults) {
     }
 }
 
-void VehicleNode::send(std::int64_t now_us, const lpvguard_plant::Sensors& sensors, double command_radps) {
-    bus_off_ = off_the_bus(now_us);
-    release_due(now_us);
+// Sends the command: to control, after some time in which the loop is released.
+void VehicleNode::send_command(std::int64_t now_us, lpvg_can_guard_in_t& command) {
     lpvg_can_frame_t frame{};
     frame.t_us = now_us;
-
-    lpvg_can_vdc2_t vdc2{};
-    vdc2.steering_wheel_angle = lpvg_can_encode(&lpvg_can_vdc2_steering_wheel_angle, single(sensors.steering_wheel_rad));
-    vdc2.yaw_rate = lpvg_can_encode(&lpvg_can_vdc2_yaw_rate, single(sensors.yaw_rate_radps));
-    vdc2.lateral_acceleration = lpvg_can_encode(&lpvg_can_vdc2_lateral_acceleration, single(sensors.lateral_acceleration_mps2));
-    vdc2.longitudinal_acceleration = lpvg_can_encode(&lpvg_can_vdc2_longitudinal_acceleration, NAN);  // the plant has no such sensor
-    require(lpvg_can_vdc2_pack(&vdc2, &frame));
-    put(frame);
-
-    lpvg_can_guard_in_t in{};
-    in.dp_measured =
-        lpvg_can_encode(&lpvg_can_guard_in_dp_measured, single(sensors.brake_pressure_right_bar - sensors.brake_pressure_left_bar));
-    in.yaw_rate_command = lpvg_can_encode(&lpvg_can_guard_in_yaw_rate_command, single(command_radps));
-    in.control_request = now_us < standby_us ? LPVG_BUS_REQUEST_RELEASE : LPVG_BUS_REQUEST_CONTROL;
-    in.other_priority = 0U;
-    require(lpvg_can_guard_in_pack(&in, &frame));
+    command.control_request = now_us < standby_us ? LPVG_BUS_REQUEST_RELEASE : LPVG_BUS_REQUEST_CONTROL;
+    command.other_priority = 0U;
+    require(lpvg_can_guard_in_pack(&command, &frame));
     require(lpvg_can_e2e_protect(&frame, LPVG_CAN_GUARD_IN_E2E_DATA_ID, &counter_));
-    put(frame);
-
-    if (now_us % slow_period_us == 0) {
-        send_slow(now_us, sensors);
-    }
-}
-
-// Sends the messages that are due every 100 ms.
-void VehicleNode::send_slow(std::int64_t now_us, const lpvguard_plant::Sensors& sensors) {
-    using lpvguard_plant::Wheel;
-    lpvg_can_frame_t frame{};
-    frame.t_us = now_us;
-    const auto& wheel = sensors.wheel_speed_mps;
-    const double front = 0.5 * (wheel[Wheel::front_left] + wheel[Wheel::front_right]);
-    const auto relative = [&](Wheel which) { return single((wheel[which] - front) * kmh_per_mps); };
-    lpvg_can_ebc2_t ebc2{};
-    ebc2.front_axle_speed = lpvg_can_encode(&lpvg_can_ebc2_front_axle_speed, single(front * kmh_per_mps));
-    ebc2.relative_speed_front_left = lpvg_can_encode(&lpvg_can_ebc2_relative_speed_front_left, relative(Wheel::front_left));
-    ebc2.relative_speed_front_right = lpvg_can_encode(&lpvg_can_ebc2_relative_speed_front_right, relative(Wheel::front_right));
-    ebc2.relative_speed_rear1_left = lpvg_can_encode(&lpvg_can_ebc2_relative_speed_rear1_left, relative(Wheel::rear_left));
-    ebc2.relative_speed_rear1_right = lpvg_can_encode(&lpvg_can_ebc2_relative_speed_rear1_right, relative(Wheel::rear_right));
-    ebc2.relative_speed_rear2_left = lpvg_can_encode(&lpvg_can_ebc2_relative_speed_rear2_left, NAN);  // two axles
-    ebc2.relative_speed_rear2_right = lpvg_can_encode(&lpvg_can_ebc2_relative_speed_rear2_right, NAN);
-    require(lpvg_can_ebc2_pack(&ebc2, &frame));
-    put(frame);
-
-    lpvg_can_ccvs1_t ccvs1{};
-    ccvs1.wheel_based_speed = lpvg_can_encode(&lpvg_can_ccvs1_wheel_based_speed, single(sensors.speed_mps * kmh_per_mps));
-    require(lpvg_can_ccvs1_pack(&ccvs1, &frame));
-    put(frame);
-
-    lpvg_can_ebc3_t ebc3{};
-    ebc3.pressure_front_left = lpvg_can_encode(&lpvg_can_ebc3_pressure_front_left, single(sensors.brake_pressure_left_bar * kpa_per_bar));
-    ebc3.pressure_front_right =
-        lpvg_can_encode(&lpvg_can_ebc3_pressure_front_right, single(sensors.brake_pressure_right_bar * kpa_per_bar));
-    ebc3.pressure_rear1_left = lpvg_can_encode(&lpvg_can_ebc3_pressure_rear1_left, 0.0F);  // only front wheels are braked
-    ebc3.pressure_rear1_right = lpvg_can_encode(&lpvg_can_ebc3_pressure_rear1_right, 0.0F);
-    ebc3.pressure_rear2_left = lpvg_can_encode(&lpvg_can_ebc3_pressure_rear2_left, NAN);
-    ebc3.pressure_rear2_right = lpvg_can_encode(&lpvg_can_ebc3_pressure_rear2_right, NAN);
-    ebc3.pressure_rear3_left = lpvg_can_encode(&lpvg_can_ebc3_pressure_rear3_left, NAN);
-    ebc3.pressure_rear3_right = lpvg_can_encode(&lpvg_can_ebc3_pressure_rear3_right, NAN);
-    require(lpvg_can_ebc3_pack(&ebc3, &frame));
-    put(frame);
-
-    lpvg_can_ebc1_t ebc1{};
-    ebc1.abs_active = lpvg_can_encode(&lpvg_can_ebc1_abs_active, 0.0F);
-    ebc1.brake_pedal_position = lpvg_can_encode(&lpvg_can_ebc1_brake_pedal_position, 0.0F);
-    require(lpvg_can_ebc1_pack(&ebc1, &frame));
     put(frame);
 }
 
@@ -181,7 +116,7 @@ bool VehicleNode::spoil(Fault& fault, lpvg_can_frame_t& frame, const lpvg_can_fr
                 require(lpvg_can_e2e_protect(&frame, LPVG_CAN_GUARD_IN_E2E_DATA_ID, &counter));
             }
             return true;
-        case CanFault::Kind::wrong_length: frame.dlc = 7; return true;
+        case CanFault::Kind::wrong_length: --frame.dlc; return true;
         case CanFault::Kind::unknown_id: send_beside(frame, LPVG_CAN_EXTENDED | 0x18FFEE00U); return true;
         case CanFault::Kind::babbling: send_beside(frame, frame.id); return true;
         case CanFault::Kind::bus_off:  // affects no single frame, see off_the_bus
@@ -243,14 +178,16 @@ void VehicleNode::receive(std::int64_t now_us) {
             continue;
         }
         std::uint8_t index = LPVG_CAN_NO_INDEX;
-        if (lpvg_can_receive(&supervisor_, &frame, &index) == lpvg_can_event_accepted) {
+        const lpvg_can_event_t event = lpvg_can_receive(&supervisor_, &frame, &index);
+        if (event == lpvg_can_event_accepted || event == lpvg_can_event_unknown_id) {
+            take_demand(frame);
+        }
+        if (event == lpvg_can_event_accepted) {
             lpvg_can_guard_out_t out{};
             require(lpvg_can_guard_out_unpack(&out, &frame));
-            const float demand_bar = decoded(lpvg_can_guard_out_dp_demand, out.dp_demand);
-            demand_bar_ = static_cast<double>(demand_bar);
             const auto byte = [](std::uint16_t raw) { return static_cast<std::uint8_t>(raw); };
             const float margin = decoded(lpvg_can_guard_out_monitor_margin, out.monitor_margin);
-            report_ = {demand_bar,
+            report_ = {static_cast<float>(demand_[0]),
                        margin,
                        byte(out.monitor_verdict),
                        byte(out.supervision_state),
@@ -263,7 +200,7 @@ void VehicleNode::receive(std::int64_t now_us) {
     }
     lpvg_can_advance(&supervisor_, now_us);
     if (lpvg_can_state(&supervisor_, 0) == lpvg_can_state_off) {
-        demand_bar_ = 0.0;
+        std::fill(std::begin(demand_), std::end(demand_), 0.0);
         report_.supervision = lpvg_can_state_off;
     }
 }

@@ -79,7 +79,7 @@ public:
 
     // True if the demand is larger than that of a probing engagement.
     bool beyond_probing() const {
-        const auto probing = static_cast<double>(LPVG_ECU_PROBE_SHARE) * static_cast<double>(bench.ecu.kept.u_max);
+        const auto probing = static_cast<double>(LPVG_ECU_PROBE_SHARE) * static_cast<double>(bench.ecu.kept.u_max[0]);
         return std::fabs(static_cast<double>(bench.ecu.control.u[0])) > 1.001 * probing;
     }
 

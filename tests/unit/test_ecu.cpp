@@ -382,13 +382,13 @@ TEST_CASE("init leaves nothing of what was there, and nothing is known of the bu
     for (const auto& node : lpvg_control_coeff.reals.u_max) {
         largest = std::max(largest, node[0]);
     }
-    CHECK(ecu.kept.u_max == largest);
-    CHECK(ecu.kept.rate_max == lpvg_control_coeff.reals.rate_max[0]);
+    CHECK(ecu.kept.u_max[0] == largest);
+    CHECK(ecu.kept.rate_max[0] == lpvg_control_coeff.reals.rate_max[0]);
     lpvg_control_coeff_t control = lpvg_control_coeff;
     control.reals.u_max[1][0] = lpvg_real_t(2) * largest;  // neither the first node's nor the last one's
     control.words.crc32 = lpvg_control_coeff_crc32(&control);
     REQUIRE(lpvg_ecu_init(&other, &lpvg_coeff, &control, &config, now_us) == lpvg_status_ok);
-    CHECK(other.kept.u_max == lpvg_real_t(2) * largest);
+    CHECK(other.kept.u_max[0] == lpvg_real_t(2) * largest);
     // The first step may come at once: it tells DM1, and waits for nothing.
     lpvg_can_frame_t out[LPVG_ECU_FRAMES_OUT];
     size_t n = 0U;

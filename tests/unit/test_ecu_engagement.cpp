@@ -290,7 +290,7 @@ TEST_CASE("an engagement begins with a share of the demand, which evidence raise
     CHECK(bench.ecu.share == probe);
     int steps = 0;
     for (; bench.ecu.share < lpvg_real_t(1) && steps < 300; ++steps) {
-        const auto limit = static_cast<double>(bench.ecu.share * bench.ecu.kept.u_max);
+        const auto limit = static_cast<double>(bench.ecu.share * bench.ecu.kept.u_max[0]);
         bench.step();
         CHECK(std::fabs(static_cast<double>(bench.ecu.control.u[0])) <= limit * 1.001);
     }

@@ -17,7 +17,7 @@ Bench engaged_bench(const lpvg_coeff_t& coeff = lpvg_coeff, const lpvg_control_c
     Bench bench(bench_config, coeff, control);
     bench.run_until_engaged();
     bench.run(150);
-    REQUIRE(std::fabs(bench.ecu.kept.demand) > lpvg_real_t(0.1));
+    REQUIRE(std::fabs(bench.ecu.kept.demand[0]) > lpvg_real_t(0.1));
     return bench;
 }
 
@@ -52,12 +52,12 @@ TEST_CASE("damaged coefficients of either kind release by the kept rate", "[unit
         control.reals.rate_max[0] *= lpvg_real_t(2);
     }
     bench.command = 0.12F;  // for a demand that takes more than a step to run down
-    auto before = static_cast<double>(bench.ecu.kept.demand);
+    auto before = static_cast<double>(bench.ecu.kept.demand[0]);
     std::size_t wrong = 0;
     int steps = 0;
     for (; !bench.ecu.kept.corrupt && steps < 2000; ++steps) {
         bench.step();
-        const auto now = static_cast<double>(bench.ecu.kept.demand);
+        const auto now = static_cast<double>(bench.ecu.kept.demand[0]);
         wrong += std::fabs(now - before) > 1.001 * static_cast<double>(lpvg_control_coeff.reals.rate_max[0]) * 0.01 ? 1U : 0U;
         before = now;
     }
@@ -70,9 +70,9 @@ TEST_CASE("damaged coefficients of either kind release by the kept rate", "[unit
 TEST_CASE("one damaged copy of what is kept still gives the rate to release by, none gives zero at once", "[unit][ecu][REQ-ECU-15]") {
     const int which = GENERATE(0, 1, 2);
     Bench bench = engaged_bench();
-    const auto before = static_cast<double>(bench.ecu.kept.demand);
+    const auto before = static_cast<double>(bench.ecu.kept.demand[0]);
     if (which != 1) {
-        bench.ecu.kept.rate_max *= lpvg_real_t(-3);
+        bench.ecu.kept.rate_max[0] *= lpvg_real_t(-3);
         bench.ecu.kept.coeff = nullptr;
     }
     if (which != 0) {
@@ -81,12 +81,12 @@ TEST_CASE("one damaged copy of what is kept still gives the rate to release by, 
     lpvg_ecu_engage(&bench.ecu, true);  // seals no damage
     CHECK_FALSE(lpvg_ecu_acknowledge(&bench.ecu));
     bench.step();
-    const auto now = static_cast<double>(bench.ecu.kept.demand);
+    const auto now = static_cast<double>(bench.ecu.kept.demand[0]);
     const double left = std::fmax(std::fabs(before) - static_cast<double>(lpvg_control_coeff.reals.rate_max[0]) * 0.01, 0.0);
     CHECK(std::fabs(now) == Approx(which == 2 ? 0.0 : left).margin(1e-6));
     CHECK(bench.ecu.kept.corrupt);
     if (which == 2) {
-        CHECK(bench.ecu.kept.rate_max == lpvg_real_t(0));
+        CHECK(bench.ecu.kept.rate_max[0] == lpvg_real_t(0));
         CHECK(bench.ecu.kept.period_us == 10'000U);
         CHECK_FALSE(bench.ecu.kept.engage);
     }
@@ -104,11 +104,11 @@ TEST_CASE("a demand beyond the kept limits does not leave the ECU", "[unit][ecu]
     }
     control.reals.rate_max[0] = lpvg_real_t(1e12);
     bench.ecu.control.x[0][0] = static_cast<lpvg_real_t>(sign * 121);
-    const auto before = static_cast<double>(bench.ecu.kept.demand);
+    const auto before = static_cast<double>(bench.ecu.kept.demand[0]);
     bench.step();
     const double left = std::fmax(std::fabs(before) - static_cast<double>(lpvg_control_coeff.reals.rate_max[0]) * 0.01, 0.0);
-    CHECK(std::fabs(static_cast<double>(bench.ecu.kept.demand)) == Approx(left).margin(1e-6));
-    CHECK(bench.ecu.control.u[0] == bench.ecu.kept.demand);
+    CHECK(std::fabs(static_cast<double>(bench.ecu.kept.demand[0])) == Approx(left).margin(1e-6));
+    CHECK(bench.ecu.control.u[0] == bench.ecu.kept.demand[0]);
     CHECK_FALSE(bench.engaged());
     CHECK(bench.ecu.kept.corrupt);
     check_dead(bench);
@@ -184,8 +184,8 @@ TEST_CASE("state at the ends of what can be is none, and just beyond them is dam
         case 2: ecu.monitor.t_us = ecu.core_us + (beyond ? 1 : 0); break;
         case 3: ecu.supervisor.now_us = ecu.core_us + (beyond ? 1 : 0); break;
         case 4: ecu.supervisor.now_us = ecu.core_us - (beyond ? 1 : 0); break;
-        case 5: ecu.control.u[0] = beyond ? std::nextafter(ecu.kept.demand, infinity) : ecu.kept.demand; break;
-        case 6: ecu.control.u[0] = beyond ? std::nextafter(ecu.kept.demand, -infinity) : ecu.kept.demand; break;
+        case 5: ecu.control.u[0] = beyond ? std::nextafter(ecu.kept.demand[0], infinity) : ecu.kept.demand[0]; break;
+        case 6: ecu.control.u[0] = beyond ? std::nextafter(ecu.kept.demand[0], -infinity) : ecu.kept.demand[0]; break;
         case 7:
             bench.reports = ecu.counter = static_cast<uint8_t>(LPVG_CAN_COUNTERS - 1U);
             if (beyond) {
@@ -207,7 +207,7 @@ TEST_CASE("state at the ends of what can be is none, and just beyond them is dam
         CHECK(ecu.supervisor.n_rules == lpvg_bus.n_rules);
         CHECK(ecu.supervisor.now_us == ecu.core_us);
         CHECK(bench.spn == LPVG_ECU_SPN_CORRUPT);  // told at once
-        CHECK(ecu.control.u[0] == ecu.kept.demand);
+        CHECK(ecu.control.u[0] == ecu.kept.demand[0]);
     }
 }
 
@@ -306,7 +306,7 @@ TEST_CASE("a demand within a thousandth of the kept limits is rounding, more is 
         control.reals.rate_max[0] *= factor;
     } else {
         for (auto& node : control.reals.u_max) {
-            node[0] = factor * bench.ecu.kept.u_max;
+            node[0] = factor * bench.ecu.kept.u_max[0];
         }
     }
     int steps = 0;
@@ -317,7 +317,7 @@ TEST_CASE("a demand within a thousandth of the kept limits is rounding, more is 
     CHECK(bench.ecu.kept.corrupt == beyond);
     CHECK(((steps == 1) == (of_rate && beyond)));
     if (!of_rate && !beyond) {
-        CHECK(std::fabs(bench.ecu.kept.demand) > bench.ecu.kept.u_max);
+        CHECK(std::fabs(bench.ecu.kept.demand[0]) > bench.ecu.kept.u_max[0]);
     }
 }
 
@@ -342,7 +342,7 @@ TEST_CASE("a demand that is exactly a thousandth beyond the kept largest one is 
     const bool beyond = GENERATE(false, true);
     lpvg_control_coeff_t control = lpvg_control_coeff;
     Bench bench = engaged_bench(lpvg_coeff, control);
-    const lpvg_real_t most = with_rounding(bench.ecu.kept.u_max);
+    const lpvg_real_t most = with_rounding(bench.ecu.kept.u_max[0]);
     const lpvg_real_t limit = beyond ? std::nextafter(most, lpvg_real_t(2) * most) : most;
     for (auto& node : control.reals.u_max) {
         node[0] = limit;
@@ -350,12 +350,12 @@ TEST_CASE("a demand that is exactly a thousandth beyond the kept largest one is 
     for (int steps = 0; steps < 40; ++steps) {
         bench.ecu.control.x[0][0] = static_cast<lpvg_real_t>(sign * 121);
         bench.step();
-        if (bench.ecu.kept.corrupt || bench.ecu.kept.demand == lpvg_real_t(sign) * limit) {
+        if (bench.ecu.kept.corrupt || bench.ecu.kept.demand[0] == lpvg_real_t(sign) * limit) {
             break;
         }
     }
     CHECK(bench.ecu.kept.corrupt == beyond);
-    CHECK((bench.ecu.kept.demand == lpvg_real_t(sign) * most) != beyond);
+    CHECK((bench.ecu.kept.demand[0] == lpvg_real_t(sign) * most) != beyond);
 }
 
 TEST_CASE("a change of the demand that is exactly a thousandth beyond the kept rate is rounding, the next number is damage",
@@ -376,23 +376,23 @@ TEST_CASE("a change of the demand that is exactly a thousandth beyond the kept r
         return rate;
     };
     lpvg_real_t& rate = control.reals.rate_max[0];
-    lpvg_real_t most = with_rounding(ecu.kept.rate_max * elapsed);
+    lpvg_real_t most = with_rounding(ecu.kept.rate_max[0] * elapsed);
     for (rate = least_that_reaches(most); rate * elapsed > most; rate = least_that_reaches(most)) {
-        ecu.kept.rate_max = std::nextafter(ecu.kept.rate_max, lpvg_real_t(0));
-        most = with_rounding(ecu.kept.rate_max * elapsed);
+        ecu.kept.rate_max[0] = std::nextafter(ecu.kept.rate_max[0], lpvg_real_t(0));
+        most = with_rounding(ecu.kept.rate_max[0] * elapsed);
     }
     rate = beyond ? least_that_reaches(std::nextafter(most, lpvg_real_t(2) * most)) : rate;
-    ecu.kept.demand = ecu.control.u[0] = lpvg_real_t(0);
+    ecu.kept.demand[0] = ecu.control.u[0] = lpvg_real_t(0);
     write_kept(ecu);
     ecu.control.x[0][0] = static_cast<lpvg_real_t>(sign * 121);
     bench.step();
     CHECK(ecu.kept.corrupt == beyond);
-    CHECK(ecu.kept.demand == (beyond ? lpvg_real_t(0) : lpvg_real_t(sign) * most));
+    CHECK(ecu.kept.demand[0] == (beyond ? lpvg_real_t(0) : lpvg_real_t(sign) * most));
 }
 
 TEST_CASE("without any copy of the kept values calls are judged by 10 ms", "[unit][ecu][REQ-ECU-15]") {
     Bench bench = engaged_bench();
-    bench.ecu.kept.rate_max = lpvg_real_t(-3);
+    bench.ecu.kept.rate_max[0] = lpvg_real_t(-3);
     bench.ecu.inverted[0] ^= 1U;
     bench.step();
     REQUIRE(bench.ecu.kept.corrupt);
@@ -416,14 +416,14 @@ TEST_CASE("damage soon after init is told at once", "[unit][ecu][REQ-ECU-15]") {
 
 TEST_CASE("a damaged copy is made good in a call that is refused, too", "[unit][ecu][REQ-ECU-15]") {
     Bench bench = engaged_bench();
-    const double before = std::fabs(static_cast<double>(bench.ecu.kept.demand));
+    const double before = std::fabs(static_cast<double>(bench.ecu.kept.demand[0]));
     bench.ecu.inverted[offsetof(lpvg_ecu_kept_t, rate_max) / sizeof(uint32_t)] ^= 0x80000000U;
     bench.step_at(bench.now_us + 1'000);
     CHECK(bench.status == lpvg_status_out_of_order);
-    bench.ecu.kept.rate_max *= lpvg_real_t(-3);  // the other copy: the first one has the rate again
+    bench.ecu.kept.rate_max[0] *= lpvg_real_t(-3);  // the other copy: the first one has the rate again
     bench.step();
     const double left = std::fmax(before - static_cast<double>(lpvg_control_coeff.reals.rate_max[0]) * 0.01, 0.0);
-    CHECK(std::fabs(static_cast<double>(bench.ecu.kept.demand)) == Approx(left).margin(1e-6));
+    CHECK(std::fabs(static_cast<double>(bench.ecu.kept.demand[0])) == Approx(left).margin(1e-6));
     CHECK(bench.ecu.kept.corrupt);
 }
 
@@ -450,11 +450,11 @@ TEST_CASE("after damage the demand runs to zero by the kept rate, a late step co
     bench.command = 0.2F * sign;
     bench.run_until_engaged();
     const double rate = static_cast<double>(lpvg_control_coeff.reals.rate_max[0]);
-    for (int i = 0; i < 300 && std::fabs(static_cast<double>(bench.ecu.kept.demand)) < 0.06 * rate; ++i) {
+    for (int i = 0; i < 300 && std::fabs(static_cast<double>(bench.ecu.kept.demand[0])) < 0.06 * rate; ++i) {
         bench.step();
     }
     bench.ecu.occurrence = 127U;
-    const double began = static_cast<double>(bench.ecu.kept.demand);
+    const double began = static_cast<double>(bench.ecu.kept.demand[0]);
     double before = std::fabs(began);
     REQUIRE(before > 0.04 * rate);
     int64_t t_us = bench.now_us;
@@ -462,7 +462,7 @@ TEST_CASE("after damage the demand runs to zero by the kept rate, a late step co
         t_us += tick_us + late_us;
         bench.step_at(t_us);
         const double most = rate * 1e-6 * static_cast<double>(std::min<int64_t>(tick_us + late_us, 15'000));
-        const auto now = static_cast<double>(bench.ecu.kept.demand);
+        const auto now = static_cast<double>(bench.ecu.kept.demand[0]);
         CHECK(std::fabs(now) == Approx(std::fmax(before - most, 0.0)).margin(1e-5));
         CHECK(now * began >= 0.0);
         before = std::fabs(now);
@@ -485,11 +485,11 @@ TEST_CASE("a word of zeros in a copy is damage, not an ECU without init", "[unit
 
 TEST_CASE("two copies that agree are used whatever their sum says", "[unit][ecu][REQ-ECU-15]") {
     Bench bench = engaged_bench();
-    const double before = std::fabs(static_cast<double>(bench.ecu.kept.demand));
+    const double before = std::fabs(static_cast<double>(bench.ecu.kept.demand[0]));
     bench.ecu.sum ^= 1U;
     bench.ecu.occurrence = 127U;
     bench.step();
     const double left = std::fmax(before - static_cast<double>(lpvg_control_coeff.reals.rate_max[0]) * 0.01, 0.0);
-    CHECK(std::fabs(static_cast<double>(bench.ecu.kept.demand)) == Approx(left).margin(1e-6));
+    CHECK(std::fabs(static_cast<double>(bench.ecu.kept.demand[0])) == Approx(left).margin(1e-6));
     CHECK(bench.ecu.kept.corrupt);
 }

@@ -34,14 +34,14 @@ typedef struct lpvg_bus_signals_t {
     float wheel_difference;    ///< right minus left wheel of the unbraked axle; for cross-checks [m/s]
     float brake_pedal;         ///< pedal position, 0 released; for the override              [%]
     float abs_active;          ///< 0 not active, 1 active; for the override                  [-]
-    float measured;            ///< measured output of the actuator; compared with the demand [input unit]
+    float measured;            ///< measured output of the first actuator; compared with the demand. NaN: not measured [input unit]
     float request;             ///< LPVG_BUS_REQUEST_*                                         [-]
     float other_priority;      ///< highest priority of other commands on the actuator: 0 none, 1 low, 2 medium, 3 high [-]
 } lpvg_bus_signals_t;
 
 /// Report of the guarded controller to the vehicle, sent every step.
 typedef struct lpvg_bus_report_t {
-    float demand;        ///< applied demand                                                [input unit]
+    float demand;        ///< applied demand, of the first input                            [input unit]
     float statistic;     ///< statistic of the newest judged frame (monitor.h)                [-]
     uint8_t verdict;       ///< lpvg_verdict_t
     uint8_t supervision;   ///< lpvg_can_state_t

@@ -46,7 +46,7 @@
 /// Permission. The vehicle asks for control with its request message (bus.h). A request for control counts once another request has been
 /// received since init. Nothing is engaged while another command on the actuator has a higher priority than `priority`. Nothing is
 /// engaged while the brake pedal is beyond LPVG_ECU_PEDAL_PERCENT, or while ABS acts. A request to acknowledge acts once, when it begins,
-/// as lpvg_ecu_acknowledge does. The measured output of the actuator is compared with the lagged demand: LPVG_ECU_CAUSE_ACTUATOR.
+/// as lpvg_ecu_acknowledge does. The measured output of the first actuator is compared with the lagged demand: LPVG_ECU_CAUSE_ACTUATOR.
 ///
 /// Time. A step is due one sample period after the previous one, and is taken from half a period on. An earlier call is refused. A call
 /// more than one and a half periods and at most LPVG_ECU_JUMP_US after the previous step is taken as a gap. Any other time is a jump of
@@ -217,11 +217,11 @@ typedef struct lpvg_ecu_kept_t {
     const lpvg_coeff_t* coeff;
     const lpvg_control_coeff_t* control;
     lpvg_ecu_config_t config;
-    lpvg_real_t u_max;  ///< largest |demand| of all nodes                              [input unit]
-    lpvg_real_t rate_max;  ///< largest |change of demand|                              [input unit/s]
+    lpvg_real_t u_max[LPVG_NU];  ///< largest |demand| of all nodes                     [input unit]
+    lpvg_real_t rate_max[LPVG_NU];  ///< largest |change of demand|                     [input unit/s]
     lpvg_real_t speed_min;  ///< lower end of the controller's scheduling range             [m/s]
     lpvg_real_t speed_max;  ///< upper end of the controller's scheduling range             [m/s]
-    lpvg_real_t demand;  ///< newest demand                                              [input unit]
+    lpvg_real_t demand[LPVG_NU];  ///< newest demand                                     [input unit]
     lpvg_watch_limits_t watch;  ///< limits of the watch of the response
     int64_t now_us;  ///< time of the newest step on the caller's clock                   [us]
     uint32_t period_us;  ///< sample period                                                [us]
@@ -244,7 +244,7 @@ typedef struct lpvg_ecu_t {
     lpvg_can_supervisor_t supervisor;
     lpvg_can_plausibility_t plausibility;
     lpvg_bus_signals_t signals;
-    float expected;  ///< demand after the actuator's lag                             [input unit]
+    float expected;  ///< first demand after the actuator's lag                       [input unit]
     int64_t live_us;  ///< core_us of the newest step that was not live                    [us]
     float deviation_along;  ///< mean of (measured - expected) expected                      [input unit squared]
     float deviation_square;  ///< mean square of measured - expected                      [input unit squared]

@@ -103,6 +103,15 @@ void keep(lpvg_ecu_t& self) {
     self.sum = lpvguard::sum_of_words(self.kept);
 }
 
+// Whether every demand of the controller is the kept one.
+bool demands_kept(const lpvg_ecu_t& self) {
+    bool same = true;
+    for (std::size_t i = 0; i < LPVG_NU; ++i) {
+        same = same && self.control.u[i] >= self.kept.demand[i] && self.control.u[i] <= self.kept.demand[i];
+    }
+    return same;
+}
+
 bool kept_well(const lpvg_ecu_t& self) { return differences(self, std::make_index_sequence<n_kept>{}) == 0U; }
 
 // Takes the kept values from whichever copy still has their sum; false where none has.
@@ -123,8 +132,8 @@ bool rescue(lpvg_ecu_t& self) {
 bool state_well(const lpvg_ecu_t& self) {
     return self.monitor.coeff == self.kept.coeff && self.control.coeff == self.kept.control && self.supervisor.rules == lpvg_bus.rules &&
            self.supervisor.n_rules == lpvg_bus.n_rules && self.supervisor.now_us == self.core_us && self.monitor.t_us <= self.core_us &&
-           self.dm1_us <= self.core_us && self.core_us - self.dm1_us <= 2 * dm1_period_us && self.control.u[0] >= self.kept.demand &&
-           self.control.u[0] <= self.kept.demand && self.counter < LPVG_CAN_COUNTERS && self.occurrence <= occurrence_max;
+           self.dm1_us <= self.core_us && self.core_us - self.dm1_us <= 2 * dm1_period_us && demands_kept(self) &&
+           self.counter < LPVG_CAN_COUNTERS && self.occurrence <= occurrence_max;
 }
 
 // After damage: nothing is used that may have been hit, and the step that follows only reports.
@@ -135,7 +144,7 @@ void restore(lpvg_ecu_t& self, bool kept) {
         self.kept.now_us = self.now_us;
     }
     self.kept.corrupt = true;
-    self.control.u[0] = self.kept.demand;
+    std::memcpy(self.control.u, self.kept.demand, sizeof self.control.u);
     self.supervisor.rules = lpvg_bus.rules;
     self.supervisor.n_rules = lpvg_bus.n_rules;
     self.supervisor.now_us = self.core_us;
@@ -191,10 +200,10 @@ bool actuator_limits_good(const lpvg_ecu_actuator_limits_t& limits, Real u_max) 
            limits.tolerance < (1.0F - limits.relative) * static_cast<float>(u_max) && limits.confirm > 0U;
 }
 
-Real largest_limit(const lpvg_control_coeff_t& control) {
+Real largest_limit(const lpvg_control_coeff_t& control, std::size_t input) {
     Real largest = Real(0);
     for (const auto& node : control.reals.u_max) {
-        largest = node[0] > largest ? node[0] : largest;
+        largest = node[input] > largest ? node[input] : largest;
     }
     return largest;
 }
@@ -304,14 +313,14 @@ void judge_speed(lpvg_ecu_t& self) {
     self.in_range = self.signals.speed >= r.speed_min - beyond && self.signals.speed <= r.speed_max + beyond;
 }
 
-// Whether the actuator does what was demanded up to the newest step, by its gain and by its distance. Nothing is compared while a message
-// is missing and until what was demanded meanwhile has died out; the means begin anew behind that.
+// Whether the actuator of the first input does what was demanded up to the newest step, by its gain and by its distance. Nothing is
+// compared without a measurement, while a message is missing, and until what was demanded meanwhile has died out; the means begin anew.
 void judge_actuator(lpvg_ecu_t& self, bool live) {
     const lpvg_ecu_actuator_limits_t& limits = self.kept.config.actuator;
     const float period = static_cast<float>(self.kept.period_us) * 1e-6F;
     self.expected += (static_cast<float>(self.control.u[0]) - self.expected) * period / (limits.lag_s + period);
     self.live_us = live ? self.live_us : self.core_us;
-    if (self.core_us - self.live_us < int64_t{LPVG_ECU_ACTUATOR_US}) {
+    if (std::isnan(self.signals.measured) || self.core_us - self.live_us < int64_t{LPVG_ECU_ACTUATOR_US}) {
         self.expected_square = self.deviation_square = self.deviation_along = 0.0F;
         return;
     }
@@ -454,28 +463,33 @@ bool allowed(lpvg_ecu_t& self, bool live) {
     return self.permitted;
 }
 
-// The largest change of the demand in a step.
-Real largest_change(const lpvg_ecu_t& self, uint32_t step) {
+// The largest change of a demand in a step.
+Real largest_change(const lpvg_ecu_t& self, std::size_t input, uint32_t step) {
     const uint32_t longest_us = self.kept.period_us + self.kept.period_us / 2U;
-    return self.kept.rate_max * (static_cast<Real>(step < longest_us ? step : longest_us) * Real(1e-6));
+    return self.kept.rate_max[input] * (static_cast<Real>(step < longest_us ? step : longest_us) * Real(1e-6));
 }
 
 // The demand goes to zero without controller. Where not even the kept values can be used it is zero already: restore cleared them.
 void run_down(lpvg_ecu_t& self, uint32_t step) {
-    const Real before = self.kept.demand;
-    const Real change = largest_change(self, step);
-    const Real left = before < Real(0) ? before + change : before - change;
-    const bool arrived = !(left * before > Real(0));
-    self.kept.demand = self.control.u[0] = arrived ? Real(0) : left;
+    for (std::size_t i = 0; i < LPVG_NU; ++i) {
+        const Real before = self.kept.demand[i], change = largest_change(self, i, step);
+        const Real left = before < Real(0) ? before + change : before - change;
+        const bool arrived = !(left * before > Real(0));
+        self.kept.demand[i] = self.control.u[i] = arrived ? Real(0) : left;
+    }
     self.control.engaged = false;
     self.permitted = false;
 }
 
-// Whether the controller's demand is within the kept limits. Rounding aside it always is.
+// Whether the controller's demands are within the kept limits. Rounding aside they always are.
 bool demand_well(const lpvg_ecu_t& self, uint32_t step) {
-    const Real u = self.control.u[0], change = u - self.kept.demand;
-    const Real most = Real(1.001) * largest_change(self, step), top = Real(1.001) * self.kept.u_max;
-    return u <= top && u >= -top && change <= most && change >= -most;
+    bool well = true;
+    for (std::size_t i = 0; i < LPVG_NU; ++i) {
+        const Real u = self.control.u[i], change = u - self.kept.demand[i];
+        const Real most = Real(1.001) * largest_change(self, i, step), top = Real(1.001) * self.kept.u_max[i];
+        well = well && u <= top && u >= -top && change <= most && change >= -most;
+    }
+    return well;
 }
 
 void run_controller(lpvg_ecu_t& self, bool live, uint32_t step) {
@@ -484,7 +498,7 @@ void run_controller(lpvg_ecu_t& self, bool live, uint32_t step) {
     std::memcpy(&m[1], self.signals.y, sizeof self.signals.y);
     const lpvg_status_t status = lpvg_control_step_within(&self.control, self.signals.speed, m, allowed(self, live), step, self.share);
     if (demand_well(self, step)) {
-        self.kept.demand = self.control.u[0];
+        std::memcpy(self.kept.demand, self.control.u, sizeof self.kept.demand);
     } else {
         self.kept.corrupt = true;
         run_down(self, step);
@@ -615,8 +629,7 @@ extern "C" lpvg_status_t lpvg_ecu_init(lpvg_ecu_t* self, const lpvg_coeff_t* coe
     if (status != lpvg_status_ok) {
         return status;
     }
-    const Real u_max = largest_limit(*control);
-    if (!actuator_limits_good(config->actuator, u_max)) {
+    if (!actuator_limits_good(config->actuator, largest_limit(*control, 0U))) {
         return lpvg_status_bad_argument;
     }
     std::memset(self, 0, sizeof *self);
@@ -626,10 +639,12 @@ extern "C" lpvg_status_t lpvg_ecu_init(lpvg_ecu_t* self, const lpvg_coeff_t* coe
     self->kept.now_us = self->now_us = self->core_us = now_us;
     self->kept.coeff = coeff;
     self->kept.control = control;
-    self->kept.rate_max = control->reals.rate_max[0];
+    for (std::size_t i = 0; i < LPVG_NU; ++i) {
+        self->kept.rate_max[i] = control->reals.rate_max[i];
+        self->kept.u_max[i] = largest_limit(*control, i);
+    }
     self->kept.speed_min = control->reals.speed_min;
     self->kept.speed_max = control->reals.speed_max;
-    self->kept.u_max = u_max;
     lpvg_watch_limits(&self->kept.watch, coeff);
     self->share = least_share(*self);
     self->dm1_us = now_us - dm1_period_us;
@@ -721,7 +736,7 @@ extern "C" lpvg_status_t lpvg_ecu_step(lpvg_ecu_t* self, int64_t now_us, const l
         run_controller(*self, live, step);
     }
     run_monitor(*self, live, step);
-    self->report.demand = static_cast<float>(self->kept.demand);
+    self->report.demand = static_cast<float>(self->kept.demand[0]);
     self->report.authenticated = self->kept.config.authenticated ? 1U : 0U;
     const lpvg_ecu_engagement_t released = self->kept.locked ? lpvg_ecu_locked : lpvg_ecu_released;
     self->report.engagement = static_cast<uint8_t>(self->control.engaged ? lpvg_ecu_engaged : released);

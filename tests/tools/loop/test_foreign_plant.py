@@ -2,12 +2,10 @@
 vehicle is driven by the same scenarios, and what does not fit is named."""
 
 import re
-import shutil
-import subprocess
-import zipfile
 from pathlib import Path
 
 import pytest
+from c_fmu import c_fmu
 
 from lpvguard.base.errors import InputError
 from lpvguard.core.compiled import shipped_vehicle
@@ -16,16 +14,15 @@ from lpvguard.extras.loop.foreign_plant import PRESSURES, REQUIRED, WHEELS, Fore
 from lpvguard.extras.loop.sim import Simulator, load_scenario, steady_scenario
 
 pytestmark = pytest.mark.slow("20 s: the simulator and FMUs are compiled")
-SOURCE = Path(__file__).with_name("single_track.c")
 VARIABLES = {
-    "dp": (0, 'causality="input"', 'start="0"'),
-    "v_wanted": (1, 'causality="input"', 'start="15"'),
-    "gain": (2, 'causality="parameter" variability="fixed"', 'start="0.32"'),
-    "v": (10, 'causality="output"', ""),
-    "r": (11, 'causality="output"', ""),
-    "delta": (12, 'causality="output"', ""),
-    "ay_g": (13, 'causality="output"', ""),
-    "pressure": (14, 'causality="output"', ""),
+    "dp": (0, "input"),
+    "v_wanted": (1, "input"),
+    "gain": (2, "parameter"),
+    "v": (10, "output"),
+    "r": (11, "output"),
+    "delta": (12, "output"),
+    "ay_g": (13, "output"),
+    "pressure": (14, "output"),
 }
 MAP = """
 step_s = 0.005
@@ -48,24 +45,7 @@ true_road_wheel_angle = "delta"
 @pytest.fixture(scope="module")
 def single_track(tmp_path_factory) -> Path:
     """FMU of another vehicle, in C."""
-    folder = tmp_path_factory.mktemp("single_track")
-    binary = folder / "single_track.so"
-    command = [shutil.which("gcc") or "cc", "-O2", "-shared", "-fPIC", SOURCE, "-o", binary]
-    subprocess.run([str(word) for word in command], check=True)
-    scalars = "".join(
-        f'<ScalarVariable name="{name}" valueReference="{reference}" {causality}>'
-        f"<Real {start}/></ScalarVariable>"
-        for name, (reference, causality, start) in VARIABLES.items()
-    )
-    description = (
-        '<fmiModelDescription fmiVersion="2.0" modelName="single_track" guid="{1}">'
-        '<CoSimulation modelIdentifier="single_track"/>'
-        f"<ModelVariables>{scalars}</ModelVariables><ModelStructure/></fmiModelDescription>"
-    )
-    with zipfile.ZipFile(folder / "single_track.fmu", "w") as archive:
-        archive.writestr("modelDescription.xml", description)
-        archive.write(binary, "binaries/linux64/single_track.so")
-    return folder / "single_track.fmu"
+    return c_fmu("single_track", VARIABLES, tmp_path_factory.mktemp("single_track"))
 
 
 @pytest.fixture(scope="module")

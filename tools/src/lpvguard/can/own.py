@@ -15,13 +15,14 @@ from __future__ import annotations
 import difflib
 import re
 import warnings
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..base.errors import InputError, InputWarning
-from ..vehicle.project import CanPlace, Checksum, OwnMessage, Project
+from ..vehicle.project import CanPlace, Checksum, OwnMessage, Project, Signal
 from .catalogue import E2E_BITS, OWN_NODE, BusSignal, Catalogue, Message
 from .codegen import ANY_PRIORITY
 from .decode import contradicting_range, is_j1939, load_database, signal_pieces
@@ -109,12 +110,13 @@ class CarBus:
     places: dict[str, tuple[Message, list[BusSignal], float]]
 
 
-def own_bus(project: Project) -> CarBus:
+def own_bus(project: Project, signals: Sequence[Signal] | None = None) -> CarBus:
     """Describe the own bus of a vehicle with ``[can]``.
 
     Parameters
     ----------
     project : Project
+    signals : sequence of Signal, optional, needed signals, by default all
 
     Returns
     -------
@@ -129,15 +131,16 @@ def own_bus(project: Project) -> CarBus:
     if project.can is None:
         raise InputError(where, "can", "no [can] table", "a [can] table with dbc")
     used: dict[str, list[str]] = {}
-    for s in project.signals:
+    needed = project.signals if signals is None else signals
+    for s in needed:
         place = _place(s.name, s.can, where)
         used.setdefault(place.message, []).extend((place.signal, *place.plus))
     database, path = _database(project.can.dbc), project.can.dbc
     messages = []
-    for number, (name, signals) in enumerate(used.items()):
+    for number, (name, names) in enumerate(used.items()):
         settings = project.can.messages.get(name, OwnMessage())
         car = _car_message(database, name, path, where)
-        messages.append(_carried(car, list(dict.fromkeys(signals)), settings, number, f"{where}, {path}"))
+        messages.append(_carried(car, list(dict.fromkeys(names)), settings, number, f"{where}, {path}"))
     catalogue = Catalogue.model_validate(
         {
             "schema": 1,
@@ -150,7 +153,7 @@ def own_bus(project: Project) -> CarBus:
     )
     ours = {m.car.name: (catalogue.message(m.ours.name), m.signals) for m in messages}
     places = {}
-    for s in project.signals:
+    for s in needed:
         if s.can is not None:
             message, carried = ours[s.can.message]
             names = (s.can.signal, *s.can.plus)
@@ -160,20 +163,21 @@ def own_bus(project: Project) -> CarBus:
 
 
 @dataclass(frozen=True)
-class Demand:
-    """Message of the car with demands of a controller.
+class Sent:
+    """Message of the car with values of a vector, such as the demands of a controller.
 
     Attributes
     ----------
     message : CarriedMessage
-    signals : list of (Signal, int, float), signal, index of its input, and factor from input to bus value
+    signals : list of (list of Signal, int, float)
+        Signals whose sum carries an element, its index, and the factor from element to bus value.
     """
 
     message: CarriedMessage
-    signals: list[tuple[CarSignal, int, float]]
+    signals: list[tuple[list[CarSignal], int, float]]
 
 
-def demand_messages(project: Project) -> list[Demand]:
+def demand_messages(project: Project) -> list[Sent]:
     """List the messages of a vehicle's own bus that carry its demands.
 
     Parameters
@@ -182,7 +186,7 @@ def demand_messages(project: Project) -> list[Demand]:
 
     Returns
     -------
-    list of Demand
+    list of Sent
 
     Raises
     ------
@@ -206,8 +210,33 @@ def demand_messages(project: Project) -> list[Demand]:
         for signal, *_ in signals:
             if signal in signs:
                 raise InputError(where, signal, f"has its sign in {signs[signal]}", "a signed signal")
-        demands.append(Demand(carried, [(_car_signal(car, s, where), k, factor) for s, k, factor in signals]))
+        demands.append(Sent(carried, [([_car_signal(car, s, where)], k, factor) for s, k, factor in signals]))
     return demands
+
+
+def sensor_messages(project: Project, bus: CarBus, signals: Sequence[Signal]) -> list[Sent]:
+    """List the messages of a vehicle's own bus that carry its measured signals.
+
+    Parameters
+    ----------
+    project : Project
+    bus : CarBus, of these signals
+    signals : sequence of Signal
+
+    Returns
+    -------
+    list of Sent, whose elements are ``signals``
+    """
+    where = f"vehicle {project.name}"
+    sent: list[Sent] = []
+    for m in bus.messages:
+        of_message = [(k, s.can) for k, s in enumerate(signals) if s.can and s.can.message == m.car.name]
+        places = [
+            ([_car_signal(m.car, name, where) for name in (c.signal, *c.plus)], k, c.factor)
+            for k, c in of_message
+        ]
+        sent.append(Sent(m, places))
+    return sent
 
 
 def _place(name: str, place: CanPlace | None, where: str) -> CanPlace:

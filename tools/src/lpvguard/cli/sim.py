@@ -1,5 +1,5 @@
-"""`lpvguard sim`: close the loop with the simulated truck over CAN frames, or with members of a vehicle's
-identified set. Exit 1 when a run did not show what its scenario expects or its certificate proves."""
+"""`lpvguard sim`: close the loop with the simulated truck or an FMU over CAN frames, or with members of a
+vehicle's identified set. Exit 1 when a run did not show what its scenario expects or its certificate proves."""
 
 from __future__ import annotations
 
@@ -63,7 +63,9 @@ Plant = Annotated[
 PlantMap = Annotated[
     Path | None,
     typer.Option(
-        "--map", help="TOML file that names the FMU's variables (default: the names of our truck's FMU)."
+        "--map",
+        help="TOML file that names the FMU's variables (default: the names of our truck's FMU, or of the "
+        "signal table of a vehicle on its own bus).",
     ),
 ]
 Design = Annotated[Path | None, typer.Option(help="Folder written by design, for --members.")]
@@ -101,7 +103,7 @@ def sim(
     json_out: JsonOut = None,
 ) -> None:
     """Close the loop with the simulated truck over CAN frames. Exit 1 when a run did not show what its
-    scenario expects. With --members, close the compiled controller of any vehicle with members of its
+    scenario expects. A vehicle on its own bus needs --plant. With --members, close the compiled controller of any vehicle with members of its
     identified set."""
     if members is not None:
         if scenarios or design is None or coefficients is None:
@@ -126,7 +128,8 @@ def sim(
         folder = coefficients or shipped_vehicle(vehicle)
         simulator = Simulator(folder, controller=controller, lcm=lcm is not None)
         one = partial(simulator.run, bus=bus, ecu_process=ecu_process, target=target)
-        vehicle_fmu = None if plant is None else ForeignPlant(plant, plant_map)
+        own = simulator.project if simulator.own_bus else None
+        vehicle_fmu = None if plant is None else ForeignPlant(plant, plant_map, own)
         one = partial(one, pace=pace, lcm=lcm, paused=paused, plant=vehicle_fmu)
         run = partial(_runs, one, loaded, seed, seeds, tell)
         runs = run(None) if out is None else _kept(out, simulator, loaded, run)

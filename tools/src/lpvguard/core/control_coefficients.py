@@ -3,6 +3,7 @@
     lpvguard_control.c          the controller's coefficients
     lpvguard_bus.c              messages and signals of the CAN catalogue that carry the vehicle's signals
     lpvg_can_codec.h, .c        the codec of the whole catalogue
+    further files               of a loop on the car's own bus: can/own_loop.py
 
 Reads   controller.json, written by `lpvguard design`:
             Ts_s                        sample period [s]
@@ -28,8 +29,7 @@ from ..base.errors import InputError
 from ..base.layout import COEFF, CONTROL
 from ..can.bus import bus_source, sends_demand
 from ..can.codegen import codec_files
-from ..can.demand_code import demand_files
-from ..can.own import demand_messages
+from ..can.own_loop import loop_files
 from ..vehicle.project import Project
 from .scheduled import Scheduled, engagement
 from .seal import Sealed, coefficient_source
@@ -250,7 +250,7 @@ def _check(where: object, Ts_s: float, arrays: dict[str, np.ndarray]) -> None:
 def control_files(project: Project, controller: ControllerCoefficients) -> dict[str, str]:
     """Controller files of a vehicle folder: text by file name.
 
-    If [can.demand] gives places on the vehicle's own bus, the demands are packed into its messages. A vehicle
+    If [can.demand] gives places on the vehicle's own bus, the loop works on that bus (own_loop.py). A vehicle
     without a message for its demand gets the controller alone, without ECU code. Raises InputError when the
     controller does not fit the vehicle.
     """
@@ -277,5 +277,5 @@ def control_files(project: Project, controller: ControllerCoefficients) -> dict[
     if sends_demand(project):
         files |= {"lpvguard_bus.c": bus_source(project), **codec_files()}
     if project.can is not None and project.can.demand:
-        files |= demand_files(demand_messages(project), project.n_u)
+        files |= loop_files(project)
     return files

@@ -4,7 +4,7 @@
 
 #include "firmware.h"
 #include "lpvg_can_codec.h"
-#include "lpvg_fmu_signals.hpp"  // n_inputs and each_message, by signals.py
+#include "lpvg_fmu_signals.hpp"  // n_inputs, n_counters and each_message, by signals.py
 #include "ls_bus.hpp"
 #include "results.hpp"
 #include "test_key.hpp"
@@ -13,14 +13,14 @@ namespace lpvguard_fmu {
 namespace {
 
 constexpr unsigned vr_time = 99, vr_demand = 111, vr_verdict = 200, vr_supervision = 206, vr_authentication = 300;
-constexpr uint32_t bits_ps = 250000;
+constexpr uint32_t bits_ps = FIRMWARE_OWN_BUS ? 500000 : 250000;  // J1939's, or that of most cars
 
 struct State {
     firmware_t firmware;
     Terminal terminal;
     double input[n_inputs];
     int64_t t_us;
-    uint8_t counter;       // of the command message that the plain inputs make
+    uint16_t counters[n_counters];  // of the messages that the plain inputs make
     bool authentication;
 };
 
@@ -57,8 +57,8 @@ public:
             value = state_.input[reference];
         } else if (reference == vr_time) {
             value = static_cast<double>(state_.t_us) * 1e-6;
-        } else if (reference == vr_demand) {
-            value = ecu().report.demand;
+        } else if (reference >= vr_demand && reference < vr_demand + LPVG_NU) {
+            value = static_cast<double>(ecu().control.u[reference - vr_demand]);
         } else if (!get_result(ecu().monitor, diagnosis(), reference, value)) {
             return none(reference, "number");
         }
@@ -104,6 +104,9 @@ private:
     Status communicate() override {
         const int64_t now = now_us();
         state_.t_us = now;
+#if FIRMWARE_OWN_BUS
+        state_.terminal.spread(lpvg_coeff.words.sample_period_us, &rest_period_us);
+#endif
         const lpvg_status_t status = firmware_tick(&state_.firmware, now);
         firmware_idle(&state_.firmware);
         return status == lpvg_status_ok ? ok
@@ -116,14 +119,8 @@ private:
         }
         const int64_t now = now_us();
         state_.terminal.clear();
-        each_message(state_.input, [&](lpvg_can_frame_t& frame, int64_t period_us, uint16_t data_id) {
-            if (now % period_us == 0) {
-                frame.t_us = now;
-                if (data_id == 0U || lpvg_can_e2e_protect(&frame, data_id, &state_.counter) == lpvg_status_ok) {
-                    static_cast<void>(state_.terminal.send(frame));
-                }
-            }
-        });
+        each_message(state_.input, now, state_.counters,
+                     [&](const lpvg_can_frame_t& frame) { static_cast<void>(state_.terminal.send(frame)); });
         // What the vehicle sends is what arrives; what the ECU answers is dropped at the next step.
         State& state = state_;
         const std::vector<unsigned char> sent(state.terminal.data(), state.terminal.data() + state.terminal.size());

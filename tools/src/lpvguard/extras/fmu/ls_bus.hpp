@@ -4,6 +4,7 @@
 // for: Confirm, Arbitration Lost, Bus Error, Status, Configuration and Wakeup are taken and change nothing.
 #pragma once
 
+#include <algorithm>
 #include <cstring>
 
 #include "lpvguard/can.h"
@@ -77,6 +78,17 @@ public:
         }
         frame = frames_[read_++];
         return true;
+    }
+
+    // Frames that come more than once a step arrive together. Gives them the times of their period, back to the step before, in order.
+    template <class Period>
+    void spread(int64_t step_us, Period period_us) {
+        const auto end = frames_ + n_frames_;
+        for (auto frame = frames_ + read_; frame != end; ++frame) {
+            const int64_t later = std::count_if(frame + 1, end, [&](const lpvg_can_frame_t& other) { return other.id == frame->id; });
+            frame->t_us -= std::min(later * period_us(frame->id), step_us);
+        }
+        std::stable_sort(frames_ + read_, end, [](const auto& a, const auto& b) { return a.t_us < b.t_us; });
     }
 
     const unsigned char* data() const { return bytes_; }

@@ -10,11 +10,20 @@ from pathlib import Path
 
 from ...base.errors import InputError
 from ...can.catalogue import load_catalogue
+from ...can.own_loop import REST_HEADER
 from ...core.compiled import DIAGNOSIS_SOURCE, Core, firmware_root, library_root, shared_core
 from ...vehicle.project import Project
 from .description import build_description, has_terminal, model_description, terminals
-from .signals import HEADER, signals_header
-from .variables import Variable, ecu_variables, monitor_variables, plant_variables, received_messages
+from .signals import HEADER, own_signals_header, signals_header
+from .variables import (
+    Variable,
+    ecu_variables,
+    monitor_variables,
+    own_inputs,
+    plain_inputs,
+    plant_variables,
+    received_messages,
+)
 
 BINARY = {2: "binaries/linux64", 3: "binaries/x86_64-linux"}
 """Folder of the binary, by the version of FMI."""
@@ -96,15 +105,18 @@ def ecu_fmu(project: Project, folder: Path, version: int) -> bytes:
         The vehicle has no ECU, the folder is incomplete or does not compile.
     """
     core, root = _core_of_ecu(folder, "--as ecu"), firmware_root()
-    received = received_messages(load_catalogue())
+    own = (folder / REST_HEADER).is_file()
+    received = [] if own else received_messages(load_catalogue())
+    inputs = own_inputs(project) if own else plain_inputs(received)
+    header = own_signals_header(inputs) if own else signals_header(received)
     unit = _Unit(
         "ecu",
         f"Guarded controller's ECU of {project.title}",
-        ecu_variables(project, core.thresholds, received, core.period_s),
+        ecu_variables(project, core.thresholds, inputs, core.period_s),
         [HERE / "ecu.cpp", root / "ecu" / "firmware.c"],
         [root / "ecu", root / "ports"],
         ["src/**/*.[ch]pp"],
-        {HEADER: signals_header(received)},
+        {HEADER: header},
     )
     return _fmu(project, core, version, unit)
 
@@ -129,6 +141,8 @@ def plant_fmu(project: Project, folder: Path, version: int) -> bytes:
         The vehicle has no ECU, there is no checkout, or something does not compile.
     """
     core, root = _core_of_ecu(folder, "--as plant"), firmware_root()
+    if (folder / REST_HEADER).is_file():
+        raise InputError(folder, "--as plant", "a vehicle on its own bus", "the simulated truck's folder")
     truth, sim = root / "plant", root / "sim"
     scenario = (root / "scenarios" / "nominal.toml").read_text(encoding="utf-8")
     texts = {"truck_text": (truth / "truck.toml").read_text(encoding="utf-8"), "scenario_text": scenario}
@@ -140,7 +154,7 @@ def plant_fmu(project: Project, folder: Path, version: int) -> bytes:
         [
             HERE / "plant.cpp",
             *sorted((truth / "src").glob("*.cpp")),
-            *(sim / f"{name}.cpp" for name in ("command", "scenario", "vehicle_node")),
+            *(sim / f"{name}.cpp" for name in ("command", "scenario", "truck_node", "vehicle_node")),
             root / "ecu" / "firmware.c",
         ],
         [truth / "include", truth / "src", sim, root / "ecu", root / "ports"],

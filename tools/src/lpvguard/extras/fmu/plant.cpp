@@ -65,7 +65,7 @@ public:
             s.speed_mps,          s.yaw_rate_radps,         s.steering_wheel_rad,   s.lateral_acceleration_mps2, s.wheel_speed_mps[0],
             s.wheel_speed_mps[1], s.wheel_speed_mps[2],     s.wheel_speed_mps[3],   s.brake_pressure_left_bar,   s.brake_pressure_right_bar,
             t.speed_mps,          t.yaw_rate_radps,         t.lateral_velocity_mps, t.lateral_acceleration_mps2, t.roll_rad,
-            t.road_wheel_rad,     truck_->node.demand_bar()};
+            t.road_wheel_rad,     *truck_->node.demand()};
         if (reference == vr_time) {
             value = now_s;
         } else if (reference < sizeof input_ / sizeof *input_) {
@@ -110,7 +110,7 @@ private:
 
     Status communicate() override {
         Truck& truck = *truck_;
-        truck.node.send(truck.now_us, truck.plant.sensors(), truck.command.next());
+        truck.node.send(truck.now_us, truck.plant.sensors(), nullptr, truck.command.next());
         return full_ ? say(error, "CAN.Tx_Data: more operations than %zu bytes hold", Terminal::bytes_max) : ok;
     }
     Status advance() override {
@@ -118,7 +118,7 @@ private:
         double demand_bar = input_[0];
         if (with_events) {
             truck.node.receive(truck.now_us);
-            demand_bar = truck.node.demand_bar();
+            demand_bar = *truck.node.demand();
         }
         for (int i = 0; i < Plant::steps_per_sample; ++i) {
             truck.plant.step(demand_bar, input_[1]);

@@ -135,7 +135,7 @@ def monitor_variables(project: Project, thresholds: dict[str, float]) -> list[Va
 
 
 def ecu_variables(
-    project: Project, thresholds: dict[str, float], received: Sequence[Message], period_s: float
+    project: Project, thresholds: dict[str, float], inputs: Sequence[Variable], period_s: float
 ) -> list[Variable]:
     """Return the variables of a vehicle's ECU.
 
@@ -143,14 +143,14 @@ def ecu_variables(
     ----------
     project : Project
     thresholds : dict, of the coefficients
-    received : sequence of Message, whose signals are the plain inputs
+    inputs : sequence of Variable, the plain inputs
     period_s : float, s
 
     Returns
     -------
     list of Variable; the last four are the CAN terminal, of FMI 3.0 only
     """
-    demand = project.inputs[0]
+    demands = [(s.name, "demand of the controller", "real", s.unit) for s in project.inputs]
     codes = [
         ("supervision", "supervision of the received messages", "supervision"),
         ("engagement", "whether the controller is engaged", "engagement"),
@@ -159,9 +159,9 @@ def ecu_variables(
         ("implausible", "bits of the sensors that contradict each other", "integer"),
     ]
     return [
-        *plain_inputs(received),
+        *inputs,
         *result_variables(thresholds),
-        Variable(demand.name, "demand of the controller", 111, "output", "real", demand.unit),
+        *numbered(111, demands),
         *numbered(206, codes),
         Variable(
             "authentication",
@@ -252,6 +252,47 @@ def plain_inputs(messages: Sequence[Message]) -> list[Variable]:
             signal.physical_max,
         )
         for k, (message, signal) in enumerate(signals)
+    ]
+
+
+def own_inputs(project: Project) -> list[Variable]:
+    """Return what the ECU of a vehicle on its own bus receives, as inputs with references from 0: speed and
+    outputs, and the signals of its command message."""
+    controlled = project.outputs[project.controlled]
+    plain = [_input(signal, k) for k, signal in enumerate([project.speed, *project.outputs])]
+    first = len(plain)
+    said = "acts without the terminal"
+    return [
+        *(replace(v, description=f"{v.description}; {said}") for v in plain),
+        Variable(
+            "GUARD_IN.reference",
+            f"command of {controlled.name}, positive: {controlled.positive}; {said}",
+            first,
+            "input",
+            "real",
+            controlled.unit,
+            0.0,
+            controlled.min,
+            controlled.max,
+        ),
+        Variable(
+            "GUARD_IN.control_request",
+            f"0 release, 1 control, 2 acknowledge; {said}",
+            first + 1,
+            "input",
+            start=0.0,
+            low=0.0,
+            high=2.0,
+        ),
+        Variable(
+            "GUARD_IN.other_priority",
+            f"of the strongest other command on the actuators, 0 to 3; {said}",
+            first + 2,
+            "input",
+            start=0.0,
+            low=0.0,
+            high=3.0,
+        ),
     ]
 
 

@@ -15,6 +15,7 @@ from pydantic import Field
 
 from ...base.documents import StrictModel, checked, read_toml
 from ...base.errors import InputError
+from ...vehicle.project import Project
 from ..fmu.package import BINARY
 
 WHEELS = tuple(f"wheel_speed_{wheel}" for wheel in ("front_left", "front_right", "rear_left", "rear_right"))
@@ -26,13 +27,15 @@ OUTPUTS = (*REQUIRED, *WHEELS, *PRESSURES, "brake_pressure_difference", *TRUTH)
 INPUTS = ("brake_demand", "speed")
 """Quantities that the loop writes to the FMU."""
 NUMBERS = ("Real", "Float64")
+TICK_S = 0.01
+"""Sample period of the simulated truck."""
 OF_OUR_TRUCK = {"speed_profile"}
 """Keys of a scenario's table ``plant`` that affect any FMU. Other keys need the FMU's parameter
 ``scenario``."""
 
 
-class MappedOutput(StrictModel):
-    """Our quantity from a variable of the FMU: factor x variable + offset.
+class Mapped(StrictModel):
+    """Our quantity by a variable of the FMU: factor x variable + offset.
 
     Attributes
     ----------
@@ -50,7 +53,7 @@ class PlantMap(StrictModel):
 
     Attributes
     ----------
-    step_s : float, s
+    step_s : float or None, s, by default the sample period
     scenario : str or None
     track_m : float or None, m
     parameters : dict, values of parameters by the FMU's names
@@ -58,12 +61,12 @@ class PlantMap(StrictModel):
     outputs : dict, the FMU's names by our names
     """
 
-    step_s: Annotated[float, Field(gt=0, le=0.01)] = 0.01
+    step_s: Annotated[float, Field(gt=0, le=1)] | None = None
     scenario: str | None = None
     track_m: Annotated[float, Field(gt=0, le=5)] | None = None
     parameters: dict[str, bool | int | float | str] = Field(default={})
-    inputs: dict[str, str]
-    outputs: dict[str, str | MappedOutput]
+    inputs: dict[str, str | Mapped]
+    outputs: dict[str, str | Mapped]
 
 
 class ForeignPlant:
@@ -72,7 +75,10 @@ class ForeignPlant:
     Parameters
     ----------
     path : Path, the FMU
-    plant_map : Path or None, by default the names are those of `lpvguard fmu --as plant`
+    plant_map : Path or None, by default the FMU has our names
+    project : Project or None, a vehicle on its own bus
+        Our names are then those of its signal table: inputs are demands; speed and outputs are measured. By
+        default they are those of `lpvguard fmu --as plant`.
 
     Raises
     ------
@@ -80,8 +86,14 @@ class ForeignPlant:
         If the FMU has no binary for this machine or lacks a variable, or if the map is refused.
     """
 
-    def __init__(self, path: Path, plant_map: Path | None = None):
-        self.path = path
+    def __init__(self, path: Path, plant_map: Path | None = None, project: Project | None = None):
+        self.path, self._project = path, project
+        self._Ts_s = TICK_S if project is None else project.Ts_s
+        self._inputs, self._outputs, self._demands = INPUTS, OUTPUTS, INPUTS[:1]
+        if project is not None:
+            self._demands = tuple(s.name for s in project.inputs)
+            self._inputs = (*self._demands, INPUTS[-1])
+            self._outputs = (project.speed.name, *(s.name for s in project.outputs))
         try:
             with zipfile.ZipFile(path) as archive:
                 root = ElementTree.fromstring(archive.read("modelDescription.xml"))
@@ -104,8 +116,8 @@ class ForeignPlant:
         self._link = self._linked_variables()
 
     def _own_names(self) -> PlantMap:
-        inputs = {name: name for name in INPUTS[:1] if name in self._variables}
-        outputs: dict[str, str | MappedOutput] = {name: name for name in OUTPUTS if name in self._variables}
+        inputs: dict[str, str | Mapped] = {n: n for n in self._demands if n in self._variables}
+        outputs: dict[str, str | Mapped] = {n: n for n in self._outputs if n in self._variables}
         scenario = "scenario" if "scenario" in self._variables else None
         return PlantMap(inputs=inputs, outputs=outputs, scenario=scenario)
 
@@ -118,15 +130,23 @@ class ForeignPlant:
     def _require_outputs(self) -> None:
         """Raise InputError for an unknown name, and for a missing quantity that the loop needs."""
         chosen, outputs = self.map, set(self.map.outputs)
-        for table, names, known in (("inputs", chosen.inputs, INPUTS), ("outputs", chosen.outputs, OUTPUTS)):
+        tables = (("inputs", chosen.inputs, self._inputs), ("outputs", chosen.outputs, self._outputs))
+        for table, names, known in tables:
             for name in names:
                 if name not in known:
                     raise InputError(self._where, f"{table}.{name}", "unknown", f"one of {', '.join(known)}")
-        if "brake_demand" not in chosen.inputs:
-            raise InputError(self._where, "inputs.brake_demand", "missing", "the FMU's input for the demand")
-        for name in REQUIRED:
+        for name in self._demands:
+            if name not in chosen.inputs:
+                raise InputError(self._where, f"inputs.{name}", "missing", "the FMU's input for the demand")
+        steps = self._Ts_s / (chosen.step_s or self._Ts_s)
+        if abs(steps - round(steps)) > 1e-9:
+            expected = f"a whole part of {self._Ts_s:g} s"
+            raise InputError(self._where, "step_s", f"{chosen.step_s:g}", expected)
+        for name in REQUIRED if self._project is None else self._outputs:
             if name not in outputs:
                 raise InputError(self._where, f"outputs.{name}", "missing", "a variable of the FMU")
+        if self._project is not None:
+            return
         if not outputs.issuperset(WHEELS) and chosen.track_m is None:
             raise InputError(
                 self._where, "outputs", "without all wheel speeds", f"{', '.join(WHEELS)}, or track_m"
@@ -134,9 +154,6 @@ class ForeignPlant:
         if not outputs.issuperset(PRESSURES) and "brake_pressure_difference" not in outputs:
             expected = f"{' and '.join(PRESSURES)}, or brake_pressure_difference"
             raise InputError(self._where, "outputs", "without brake pressure", expected)
-        steps = 0.01 / chosen.step_s
-        if abs(steps - round(steps)) > 1e-9:
-            raise InputError(self._where, "step_s", f"{chosen.step_s:g}", "a whole part of 0.01 s")
 
     def _find(self, where: str, name: str, types: tuple[str, ...] = ()) -> tuple[str, int]:
         """Return the type and the value reference of a variable of the FMU."""
@@ -151,13 +168,18 @@ class ForeignPlant:
     def _linked_variables(self) -> list[str]:
         """Write the lines about the FMU's variables for the file that the simulator reads."""
         lines = []
-        for table, names in (("inputs", self.map.inputs), ("outputs", self.map.outputs)):
+        tables: tuple[tuple[str, dict, tuple[str, ...]], ...] = (
+            ("inputs", self.map.inputs, self._inputs),
+            ("outputs", self.map.outputs, self._outputs),
+        )
+        for table, names, order in tables:
             entries = []
-            for name, value in names.items():
-                mapped = MappedOutput(variable=value) if isinstance(value, str) else value
+            for name in (n for n in order if n in names):
+                value = names[name]
+                mapped = Mapped(variable=value) if isinstance(value, str) else value
                 reference = self._find(f"{table}.{name}", mapped.variable, NUMBERS)[1]
                 entries.append(
-                    f"{{name = {json.dumps(name)}, reference = {reference}, "
+                    f"{{name = {json.dumps(self._role(table, name))}, reference = {reference}, "
                     f"factor = {mapped.factor!r}, offset = {mapped.offset!r}}}"
                 )
             lines.append(f"{table} = [{', '.join(entries)}]")
@@ -171,7 +193,14 @@ class ForeignPlant:
             lines.append(f"scenario = {self._find('scenario', self.map.scenario, ('String',))[1]}")
         if self.map.track_m is not None:
             lines.append(f"track_m = {self.map.track_m!r}")
+        if self._project is not None:
+            lines.append(f"controlled = {1 + self._project.controlled}")
         return lines
+
+    def _role(self, table: str, name: str) -> str:
+        """Name for the simulator, which knows the speed of every vehicle."""
+        is_speed = table == "outputs" and self._project is not None and name == self._project.speed.name
+        return "speed" if is_speed else name
 
     def linked(self, scenario: Path, folder: Path) -> Path:
         """Unpack the FMU for a run.
@@ -206,7 +235,8 @@ class ForeignPlant:
             "version": self.version,
             "token": self._token,
             "resources": str(folder / "resources"),
-            "step_s": self.map.step_s,
+            "tick_s": self._Ts_s,
+            "step_s": self.map.step_s or self._Ts_s,
         }
         link = folder / "link.toml"
         lines = [f"{key} = {json.dumps(value)}" for key, value in words.items()]

@@ -1,4 +1,6 @@
-"""`lpvguard sim`: run the closed loop on a PC: simulated truck, CAN frames and compiled ECU loop.
+"""`lpvguard sim`: run the closed loop on a PC: vehicle, CAN frames and compiled ECU loop.
+
+The vehicle is the simulated truck, or an FMU. A vehicle on its own bus (can/own_loop.py) needs an FMU.
 
 The simulator (firmware_sim/) is compiled on first use with the vehicle's generated folder, into the cache of
 `replay`. A scenario file states the driving and the faults (firmware_sim/sim/scenario.hpp). Its table
@@ -18,6 +20,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shutil
 import subprocess
 import tempfile
@@ -36,12 +39,13 @@ from pydantic import Field, model_validator
 from ...base import artefacts, native
 from ...base.documents import StrictModel, checked, read_toml
 from ...base.errors import InputError
-from ...can.catalogue import load_catalogue
+from ...can.own_loop import REST_HEADER
 from ...core.compiled import CAUSES, EVENTS, SUPERVISION, VERDICTS, core_objects, firmware_root, library_root
 from ...core.control_coefficients import ControllerCoefficients, build_controller, replaced_controller
 from ...core.targets import EmulatedEcu, emulated_ecu
 from ...drives.tables import Drive, speed_of_missing
 from ...replay.causes import diagnosed
+from ...vehicle.design_settings import DesignSettings
 from ...vehicle.nominal import NominalModel
 from ...vehicle.project import Project, Signal, parse_project
 from .foreign_plant import ForeignPlant
@@ -66,6 +70,10 @@ OF_NO_VEHICLE = {
     "vehicle_model",
 }
 """Sources of firmware_sim/sim that do not depend on a vehicle's sizes; they are compiled once."""
+OF_BUS = ("lpvg_can_codec.h", REST_HEADER)
+"""Headers of a folder with its messages."""
+MESSAGE_ID = re.compile(r"#define LPVG_CAN_(?:M\d+_)?(\w+)_ID \(LPVG_CAN_EXTENDED \| 0x([0-9A-F]{8})u\)")
+"""Name and identifier of a message in the codec; ``M0_`` numbers those of the car's own bus."""
 Seconds = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 
 
@@ -256,11 +264,22 @@ class Simulator:
                 folder, "controller", "the vehicle has none", "a folder exported with a controller"
             )
         self.project = parse_project(manifest["project"], str(self.folder / artefacts.MANIFEST))
+        self.own_bus = (self.folder / REST_HEADER).is_file()
+        """Whether the loop is on the car's own bus."""
+        codec = self.folder / OF_BUS[0]
+        if not codec.is_file():
+            expected = "a vehicle whose demand our CAN message or [can.demand] carries, exported anew"
+            raise InputError(folder, "controller", "the vehicle has no bus for it", expected)
+        self.messages = {int(i, 16): name for name, i in MESSAGE_ID.findall(codec.read_text())}
+        """Name of each message by identifier."""
         self.nodes = np.array(manifest["controller"]["speeds"])
         """Speeds (G,) [m/s] of the demand's limit, which is interpolated between them."""
         self.u_max = np.array(manifest["controller"]["u_max"])
         """Limit of the demand (G, n_u) [input unit] at these speeds."""
         if controller == "feedforward":
+            if self.project.n_u != 1 or self.own_bus:
+                expected = "designed, or off, for a vehicle on its own bus"
+                raise InputError(folder, "--controller", controller, expected)
             limits = (self.nodes, self.u_max, np.array(manifest["controller"]["rate_max"]))
             with tempfile.TemporaryDirectory() as scratch:
                 variant = Path(scratch) / self.folder.name
@@ -355,6 +374,9 @@ class Simulator:
         if pace is not None:
             command += ["--pace", pace]
         with tempfile.TemporaryDirectory() as scratch:
+            if plant is None and self.own_bus:
+                expected = "an FMU of the vehicle, which is on its own bus"
+                raise InputError(self.folder, "--plant", "missing", expected)
             if plant is not None:
                 command += ["--plant", plant.linked(scenario.path, Path(scratch) / "fmu")]
             stem = (out or Path(scratch)) / f"{scenario.name}-{seed}"
@@ -395,6 +417,9 @@ class Simulator:
         """Run the simulator with a scenario file and options; raise InputError if it refuses them."""
         words = [self.program, scenario, "--parameters", firmware_root() / "plant" / "truck.toml"]
         words += ["--engage", "no" if self.controller == "off" else "yes", *options]
+        p = self.project
+        words += ["--columns", ",".join(["t", *(s.column for s in (p.speed, *p.inputs, *p.outputs))])]
+        words += [] if p.design is None else ["--reference", _reference_model(p.design)]
         done = subprocess.run([str(w) for w in words], capture_output=True, text=True, check=False)
         if done.returncode != 0:
             raise InputError(
@@ -421,6 +446,8 @@ class Simulator:
             for key, names in (("verdicts", VERDICTS), ("supervision", SUPERVISION))
         }
         del facts["causes"]
+        if not self.own_bus:
+            facts["demand_max_bar"] = facts["demand_max"][0]
         return facts | changes | {"verdict_final": VERDICTS[facts["verdict_final"]], "diagnoses": diagnoses}
 
     def _without_gaps(self, name: str, table: pa.Table) -> Drive:
@@ -459,7 +486,7 @@ class Simulator:
             "judged_s": overlap(spans, start, facts["duration_s"]),
             "max_margin": float(rows["margin"].max(initial=0.0)),
             **facts,
-            "reception": _reception(facts["reception"]),
+            "reception": _reception(facts["reception"], self.messages),
         }
         return result | {"missed": list(missed(expect, result, self.project.Ts_s))}
 
@@ -481,12 +508,15 @@ def loop_objects(folder: Path, main: Path, *, lcm: bool = False) -> list[Path]:
     of_no_vehicle = [root / "sim", *_ecu_folders(root), *plant, library_root() / "include"]
     of_vehicle = [*of_no_vehicle, *_core_folders(folder)]
     without = {"main", "publisher_none"} if lcm else {"main"}
+    without.add("truck_node" if (folder / REST_HEADER).is_file() else "own_node")
     sim = [s for s in sorted((root / "sim").glob("*.cpp")) if s.stem not in without]
     truth = [*sorted((root / "plant" / "src").glob("*.cpp")), root / "plant" / "tool" / "arguments.cpp"]
     objects = core_objects(folder)
     objects += _objects(truth, plant)
     with tempfile.TemporaryDirectory() as codec:
-        shutil.copy(folder / "lpvg_can_codec.h", codec)
+        for header in OF_BUS:
+            if (folder / header).is_file():
+                shutil.copy(folder / header, codec)
         objects += _objects([s for s in sim if s.stem in OF_NO_VEHICLE], [*of_no_vehicle, Path(codec)])
     own = [s for s in sim if s.stem not in OF_NO_VEHICLE]
     objects += _objects([*own, *_ecu_sources(root), main], of_vehicle)
@@ -537,12 +567,20 @@ def _lcm_publisher(root: Path, flags: tuple[str, ...], includes: list[Path]) -> 
         )
 
 
-def _reception(raw: dict[str, Any]) -> dict[str, Any]:
+def _reference_model(design: DesignSettings) -> str:
+    """Coefficients of W_R for the simulator, by descending power."""
+    both = [design.W_R_num, design.W_R_den]
+    if max(map(len, both)) > 3:
+        raise InputError("design", "W_R_den", "of an order above 2", "at most order 2 for sim")
+    return " ".join(f"{c:.17g}" for row in both for c in [0.0] * (3 - len(row)) + row)
+
+
+def _reception(raw: dict[str, Any], names: dict[int, str]) -> dict[str, Any]:
     """Counters of the supervision by message and kind of event, and first time [s] of each kind.
 
-    The message "other" counts frames without a rule.
+    ``names`` holds the messages' names by identifier. The message "other" counts frames without a rule.
     """
-    names = {m.id: m.name for m in load_catalogue().messages} | {0: "other"}
+    names = names | {0: "other"}
     messages = {}
     for identifier, state, counts, first_s in raw["rules"]:
         seen = [(kind, n, t) for kind, n, t in zip(EVENTS, counts, first_s, strict=False) if n]
