@@ -27,7 +27,7 @@ from ...base.parallel import Map, workers
 from ...core.compiled import is_alarming
 from ...drives import fixture
 from ...drives.faults import Fault, inject
-from ...drives.tables import Experiment, index_text, list_experiments
+from ...drives.tables import Experiment, index_text
 from ...identify import identification as stage
 from ...replay.replayer import Replayer
 from ...vehicle.project import Project, load_project
@@ -207,10 +207,14 @@ def rounds(
         gain_of = fleet_drives(fleet, new, size, turn, seed, run)
         healthy = {name for name in gain_of if WORN not in name}
         lineage = Lineage.from_folder(folder, known if turn == 0 else None)
-        with compiled(lineage.stored) as replayer:
-            drives = [e for e in list_experiments(new) if e.name in healthy]
+        evidence = Evidence.from_paths(lineage, [new], "vehicle")
+        with (
+            compiled(lineage.stored) as replayer,
+            evidence.divided(lineage.own, fleet.project, scratch, run) as divided,
+        ):
+            drives = [e for e in divided.experiments if e.name in healthy]
             faults_found = sum(run(partial(_fault_found, replayer), drives))
-        decisions, _ = decide(lineage, Evidence.from_paths(lineage, [new], "vehicle"), scratch, run)
+        decisions, _ = decide(lineage, evidence, scratch, run)
         signed = decisions.accepting("bench", recentre=False)
         if size.inspect:
             signed = _inspected(signed, healthy)
