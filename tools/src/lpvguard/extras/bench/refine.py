@@ -4,7 +4,7 @@
 trucks of firmware_sim/plant, each with its own loads, tyres, friction and brakes. The first identification
 uses drives of one vehicle. In each round, every vehicle adds some drives. A person accepts all drives that
 `refine` does not judge faulty. With ``--inspect``, the person also inspects vehicles with faulty drives, and
-accepts the vehicles without wear.
+accepts the vehicles without wear. From then on a vehicle is judged beside its own gains.
 
 The table counts drives before each round learns from them. Three counts are of healthy drives: those that
 alarm, those that refute the certified model set, and those that alarm with an added gain fault. It also
@@ -266,13 +266,15 @@ def main(argv: list[str]) -> None:
     arguments.add_argument("--seconds", type=float, default=140.0, help="length of a drive")
     arguments.add_argument("--rounds", type=int, default=4)
     arguments.add_argument("--seeds", type=int, default=1, help="fleets")
+    arguments.add_argument("--first-seed", type=int, default=0, help="seed of the first fleet")
     arguments.add_argument("--inspect", action="store_true", help="accept what did not wear")
     arguments.add_argument("--jobs", type=int, default=1, help="processes")
     options = arguments.parse_args(argv)
     require_at_least("refine", options, vehicles=1, worn=0, drives=1, rounds=1, seeds=1, seconds=120)
     size = FleetSize(**{field.name: getattr(options, field.name) for field in fields(FleetSize)})
     total = list[dict[str, Any]]()
-    for seed in range(options.seeds):
+    seeds = range(options.first_seed, options.first_seed + options.seeds)
+    for seed in seeds:
         with tempfile.TemporaryDirectory() as scratch, workers(options.jobs) as run:
             for i, counts in enumerate(rounds(FLEETS[options.vehicle], Path(scratch), seed, size, run)):
                 if i == len(total):
@@ -282,7 +284,7 @@ def main(argv: list[str]) -> None:
     result = {
         "vehicle": options.vehicle,
         **asdict(size),
-        "seeds": list(range(options.seeds)),
+        "seeds": list(seeds),
         "rounds": total,
     }
     show(words(result), result, options.json_out)

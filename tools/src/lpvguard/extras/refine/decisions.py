@@ -90,7 +90,7 @@ class Evidence:
     def divided(
         self, own: OwnGains, project: Project, beside: Path, workers: Map = map
     ) -> Iterator[Evidence]:
-        """Yield the evidence with drives divided by the own gains of their vehicles, as `OwnGains.divided`."""
+        """Yield the evidence with the drives of `OwnGains.divided`."""
         with own.divided(project, self.experiments, self.vehicle, beside, workers) as experiments:
             yield Evidence(experiments, self.vehicle)
 

@@ -118,9 +118,9 @@ def _changed(judgements: Sequence[Judgement], own: OwnGains, least: float) -> di
         drives, worst = by_vehicle[vehicle], int((np.abs(change) + error).argmax())
         if abs(change[worst]) + error[worst] >= least:
             said[vehicle] = (
-                f"{drives[0][worst].output} has {1 + change[worst]:.3f} of {vehicle}'s own gain in the mean of "
-                f"{len(drives)} drives, with an error up to {error[worst]:.2g}: a change below {least:.2g} is "
-                "not shown"
+                f"{drives[0][worst].output} has {1 + change[worst]:.3f} of {vehicle}'s own gain in the mean "
+                f"of {len(drives)} drives, with an error up to {error[worst]:.2g}: they do not show less "
+                f"than {least:.2g}"
             )
     return said
 
