@@ -18,7 +18,7 @@ import pytest
 
 import lpvguard as lpvguard_package
 from lpvguard.base.errors import InputError
-from lpvguard.base.parallel import UNDER_WAY_PER_WORKER, workers
+from lpvguard.base.parallel import SILENT_S, UNDER_WAY_PER_WORKER, workers
 from lpvguard.base.sampling import first_of_each, row_hash, stacked
 from lpvguard.drives.dft import spectra
 from lpvguard.drives.frames import Estimator
@@ -147,6 +147,22 @@ def test_dask_gives_the_same_bytes(drives):
         workers(scheduler=cluster.scheduler_address) as run,
     ):
         assert files(drives, run) == files(drives)
+
+
+@pytest.mark.slow("4 s: clusters are started")
+@pytest.mark.parametrize(
+    ("ttl", "after"), [("2 s", SILENT_S), (f"{2 * SILENT_S:.0f} s", 2 * SILENT_S), (None, None)]
+)
+def test_a_dask_scheduler_waits_for_busy_workers(ttl, after):
+    """A worker that holds the interpreter sends no heartbeat, and would be removed with its drive."""
+    distributed, dask = pytest.importorskip("distributed"), pytest.importorskip("dask")
+    with (
+        dask.config.set({"distributed.scheduler.worker-ttl": ttl}),
+        distributed.LocalCluster(n_workers=1, processes=False, dashboard_address=None) as cluster,
+        workers(scheduler=cluster.scheduler_address) as run,
+    ):
+        assert list(run(abs, [-1])) == [1]
+        assert cluster.scheduler.worker_ttl == after
 
 
 def test_a_core_is_sent_as_its_sources_and_can_be_sent_on(core):

@@ -19,7 +19,8 @@ from lpvguard.drives.faults import Fault, inject
 from lpvguard.drives.tables import Drive, list_experiments
 from lpvguard.extras.fleet.scores import DriveEstimate
 from lpvguard.extras.refine.decisions import Decisions, Evidence, decide
-from lpvguard.extras.refine.lineage import Lineage
+from lpvguard.extras.refine.lineage import OWN, Lineage
+from lpvguard.extras.refine.own import OwnGains
 from lpvguard.extras.refine.proposals import _dominant, _largest, _shifted
 from lpvguard.extras.refine.renewed import drawn, renew
 from lpvguard.identify import identification as stage
@@ -237,3 +238,42 @@ def test_a_gain_that_drifts_to_0_7_is_never_learnt_as_healthy(g80, identified, s
 def test_decisions_are_toml_that_a_person_can_edit(tmp_path):
     document = tomlkit.parse(Decisions("seal", "", []).text())
     assert document["signed_by"] == "" and document["identification"] == "seal"
+
+
+def of_vehicles(folder: Path) -> Path:
+    """Name the vehicle of each drive by the drive's name before the last underscore."""
+    index = folder / "experiments.csv"
+    head, *rows = index.read_text().splitlines()
+    named = [f"{row},{row.split(',')[0].rpartition('_')[0]}" for row in rows]
+    index.write_text("\n".join([f"{head},vehicle", *named]) + "\n")
+    return folder
+
+
+@pytest.mark.slow("a refinement of 16 drives and more")
+def test_a_heavy_vehicle_is_healthy_beside_itself_and_its_wear_is_seen(g80, identified, synthetic, tmp_path):
+    first = of_vehicles(
+        further(g80, tmp_path / "first", {f"{v}_{i}": 0.6 for v in ("heavy", "old") for i in range(4)})
+    )
+    lineage = Lineage.from_folder(identified, synthetic)
+    evidence = Evidence.from_paths(lineage, [first], "vehicle")
+    decisions, _ = decide(lineage, evidence, tmp_path)
+    assert {d.proposal for d in decisions.drives} == {"fault"}
+    inspected = decisions.text().replace("accept = false", "accept = true")
+    inspected = inspected.replace('action = "fault"', 'action = "spread"').replace(
+        'why = ""', 'why = "heavy"'
+    )
+    (tmp_path / "signed.toml").write_text(inspected.replace('signed_by = ""', 'signed_by = "A"'))
+    renew(lineage, tmp_path / "signed.toml", tmp_path / "refined")
+
+    own = OwnGains.read(tmp_path / "refined" / OWN)
+    assert own.vehicles["heavy"].gain == pytest.approx((0.6,), abs=0.03)
+    # A worn light vehicle has the gain of the heavy one.
+    later = {f"{v}_{i}": g for v, g in (("heavy", 0.6), ("light", 0.6), ("old", 0.45)) for i in range(4, 8)}
+    lineage = Lineage.from_folder(tmp_path / "refined", None)
+    evidence = Evidence.from_paths(
+        lineage, [of_vehicles(further(g80, tmp_path / "later", later, seed=22))], "vehicle"
+    )
+    drives = decide(lineage, evidence, tmp_path)[0].drives
+    assert [d.proposal == "fault" for d in drives] == 4 * [False] + 8 * [True]
+    assert "of the first model's gain" in drives[4].reason
+    assert "of old's own gain; from 0.15 off on" in drives[8].reason

@@ -39,6 +39,8 @@ UNDER_WAY_PER_WORKER = 6
 FARTHEST_BEHIND = 4
 """A worker gets an item that it had before unless it is more than so many items behind another."""
 CONNECT_TIMEOUT_S = 20
+SILENT_S = 86_400.0
+"""Least time that a Dask scheduler waits for the heartbeat of a busy worker. Its default is 300 s."""
 
 
 def _bounded(submit: Callable[..., Any], wait: Callable[[Any], Any], limit: Callable[[], int]) -> Map:
@@ -130,6 +132,12 @@ def _processes(jobs: int) -> Iterator[Map]:
             raise
 
 
+def _wait_for_busy_workers(dask_scheduler: Any) -> None:
+    """Raise the scheduler's worker-ttl to SILENT_S; without one it waits for ever already."""
+    if dask_scheduler.worker_ttl:
+        dask_scheduler.worker_ttl = max(dask_scheduler.worker_ttl, SILENT_S)
+
+
 @contextmanager
 def _cluster(address: str) -> Iterator[Map]:
     try:
@@ -148,6 +156,7 @@ def _cluster(address: str) -> Iterator[Map]:
             "the address of a running scheduler, like tcp://host:8786",
         ) from None
     with client:
+        client.run_on_scheduler(_wait_for_busy_workers)
         yield _bounded(
             lambda function, item: client.submit(function, item, pure=False),
             lambda future: future.result(),

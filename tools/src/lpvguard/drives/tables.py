@@ -12,7 +12,7 @@ from __future__ import annotations
 import csv
 import io
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -384,6 +384,29 @@ def read_drive(path: Path, project: Project, *, any_values: bool = False) -> Dri
         outside,
         missing,
     )
+
+
+def write_divided(path: Path, target: Path, project: Project, divisors: Sequence[float]) -> None:
+    """Write a drive table with its outputs divided, as Parquet.
+
+    Parameters
+    ----------
+    path, target : Path
+    project : Project
+    divisors : Sequence of float, by output
+
+    Raises
+    ------
+    InputError
+        If the table cannot be read, or lacks an output.
+    """
+    table = _read_table(path, project)
+    for signal, divisor in zip(project.outputs, divisors, strict=True):
+        if signal.column not in table.column_names:
+            raise InputError(path, "header", f"column {signal.column} is missing", "a column of each output")
+        values = pa.array(_column(path, table, signal.column) / divisor)
+        table = table.set_column(table.column_names.index(signal.column), signal.column, values)
+    pa_parquet.write_table(table, target)
 
 
 def _read_table(path: Path, project: Project) -> pa.Table:

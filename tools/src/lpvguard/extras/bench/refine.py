@@ -4,7 +4,7 @@
 trucks of firmware_sim/plant, each with its own loads, tyres, friction and brakes. The first identification
 uses drives of one vehicle. In each round, every vehicle adds some drives. A person accepts all drives that
 `refine` does not judge faulty. With ``--inspect``, the person also inspects vehicles with faulty drives, and
-accepts the vehicles without wear.
+accepts the vehicles without wear. From then on a vehicle is judged beside its own gains.
 
 The table counts drives before each round learns from them. Three counts are of healthy drives: those that
 alarm, those that refute the certified model set, and those that alarm with an added gain fault. It also
@@ -27,7 +27,7 @@ from ...base.parallel import Map, workers
 from ...core.compiled import is_alarming
 from ...drives import fixture
 from ...drives.faults import Fault, inject
-from ...drives.tables import Experiment, index_text, list_experiments
+from ...drives.tables import Experiment, index_text
 from ...identify import identification as stage
 from ...replay.replayer import Replayer
 from ...vehicle.project import Project, load_project
@@ -207,10 +207,14 @@ def rounds(
         gain_of = fleet_drives(fleet, new, size, turn, seed, run)
         healthy = {name for name in gain_of if WORN not in name}
         lineage = Lineage.from_folder(folder, known if turn == 0 else None)
-        with compiled(lineage.stored) as replayer:
-            drives = [e for e in list_experiments(new) if e.name in healthy]
+        evidence = Evidence.from_paths(lineage, [new], "vehicle")
+        with (
+            compiled(lineage.stored) as replayer,
+            evidence.divided(lineage.own, fleet.project, scratch, run) as divided,
+        ):
+            drives = [e for e in divided.experiments if e.name in healthy]
             faults_found = sum(run(partial(_fault_found, replayer), drives))
-        decisions, _ = decide(lineage, Evidence.from_paths(lineage, [new], "vehicle"), scratch, run)
+        decisions, _ = decide(lineage, evidence, scratch, run)
         signed = decisions.accepting("bench", recentre=False)
         if size.inspect:
             signed = _inspected(signed, healthy)
@@ -262,13 +266,15 @@ def main(argv: list[str]) -> None:
     arguments.add_argument("--seconds", type=float, default=140.0, help="length of a drive")
     arguments.add_argument("--rounds", type=int, default=4)
     arguments.add_argument("--seeds", type=int, default=1, help="fleets")
+    arguments.add_argument("--first-seed", type=int, default=0, help="seed of the first fleet")
     arguments.add_argument("--inspect", action="store_true", help="accept what did not wear")
     arguments.add_argument("--jobs", type=int, default=1, help="processes")
     options = arguments.parse_args(argv)
     require_at_least("refine", options, vehicles=1, worn=0, drives=1, rounds=1, seeds=1, seconds=120)
     size = FleetSize(**{field.name: getattr(options, field.name) for field in fields(FleetSize)})
     total = list[dict[str, Any]]()
-    for seed in range(options.seeds):
+    seeds = range(options.first_seed, options.first_seed + options.seeds)
+    for seed in seeds:
         with tempfile.TemporaryDirectory() as scratch, workers(options.jobs) as run:
             for i, counts in enumerate(rounds(FLEETS[options.vehicle], Path(scratch), seed, size, run)):
                 if i == len(total):
@@ -278,7 +284,7 @@ def main(argv: list[str]) -> None:
     result = {
         "vehicle": options.vehicle,
         **asdict(size),
-        "seeds": list(range(options.seeds)),
+        "seeds": list(seeds),
         "rounds": total,
     }
     show(words(result), result, options.json_out)

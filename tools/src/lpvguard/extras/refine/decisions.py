@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import os
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -21,16 +22,19 @@ from ...base.errors import InputError
 from ...base.parallel import Map
 from ...drives.tables import TABLE_SUFFIXES, Experiment, index_column, list_experiments, table_hashes
 from ...replay.replayer import Replayer
+from ...vehicle.project import Project
 from ..fleet.recordings import Listed, follow
 from ..fleet.state import FleetState
 from .judgement import Judge, Judgement
 from .lineage import Lineage
+from .own import OwnGains
 from .proposals import ACTIONS, CONDITION, FAULT, RECENTRE, SPREAD, LearningProposal, proposals
 
 KIND, SCHEMA = "refinement decisions", 1
 NOTE = (
     "Decisions of lpvguard refine. A drive is learnt where accept is true. Name yourself in signed_by.",
     f"action: {', '.join(ACTIONS)}. Say why where it is not the proposal.",
+    "The first accepted drives of a vehicle set its own gains: accept them of an inspected vehicle.",
 )
 GROUP_OF_KNOWN = "known"
 """Group of calibrating drives without one, where a new condition makes groups."""
@@ -81,6 +85,14 @@ class Evidence:
                 raise InputError(e.path, "", f"a drive named {e.name} is there already", "names of their own")
         table_hashes([*known, *experiments])
         return cls(experiments, vehicle)
+
+    @contextmanager
+    def divided(
+        self, own: OwnGains, project: Project, beside: Path, workers: Map = map
+    ) -> Iterator[Evidence]:
+        """Yield the evidence with the drives of `OwnGains.divided`."""
+        with own.divided(project, self.experiments, self.vehicle, beside, workers) as experiments:
+            yield Evidence(experiments, self.vehicle)
 
     def lived(
         self, lineage: Lineage, first: Replayer, workers: Map = map
@@ -286,15 +298,19 @@ def decide(
     InputError
         If a drive cannot be judged.
     """
-    with Judge.for_lineage(lineage) as judge:
+    own, project = lineage.own, lineage.stored.project
+    with Judge.for_lineage(lineage) as judge, evidence.divided(own, project, folder, workers) as divided:
         judgements = []
-        for judgement in judge.judged(evidence.experiments, evidence.vehicle, workers):
+        for judgement in judge.judged(divided.experiments, divided.vehicle, workers):
             progress(f"judged {judgement.experiment.name}")
             judgements.append(judgement)
         progress("lifetime test")
-        life, lives = evidence.lived(lineage, judge.first, workers)
+        life, lives = divided.lived(lineage, judge.first, workers)
         groups = {e.group for e in list_experiments(lineage.drives) if e.group}
         known = judge.known_estimates(lineage.drives, workers)
-        made = proposals(judge, judgements, known, life, groups)
-    entries = [DriveDecision.from_judgement(j, p, folder) for j, p in zip(judgements, made, strict=True)]
+        made = proposals(judge, judgements, known, life, groups, own)
+    entries = [
+        DriveDecision.from_judgement(replace(j, experiment=e), p, folder)
+        for e, j, p in zip(evidence.experiments, judgements, made, strict=True)
+    ]
     return Decisions(lineage.stored.manifest["seal"], "", entries), lives

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -22,8 +23,9 @@ from ...identify.calibration import ROUNDING, Calibration, change_score, energy_
 from ...identify.identification import StoredIdentification
 from ...identify.scratch import scratch_core
 from ...replay.replayer import Replayer
-from ..fleet.scores import DriveEstimate, ScoredDrive, scored
+from ..fleet.scores import DriveEstimate
 from .lineage import Lineage, compiled
+from .own import estimated, estimated_file
 
 CERTIFICATE, HEALTHY, DISTURBANCE = "certificate set", "healthy set", "disturbance bound"
 ALL, NEW = "all", "new"
@@ -64,16 +66,6 @@ class _Cores:
     certificate: Core
     first: Replayer
 
-    def estimates(self, drive: Drive) -> tuple[DriveEstimate, ...]:
-        """Estimates of a whole drive, relative to the first identification's model."""
-        samples = len(drive.t)
-        piece = ScoredDrive.from_drive(self.first, drive, samples)
-        return scored(self.first, drive.name, [piece], samples).estimates
-
-    def estimates_of_file(self, experiment: Experiment) -> tuple[DriveEstimate, ...]:
-        """Estimates of a drive's file."""
-        return self.estimates(self.first.read_file(experiment.path).drive)
-
     def findings(self, experiment: Experiment) -> _Findings:
         """Judge one drive. Raises InputError where it cannot be read, or nothing of it is judged."""
         drive = self.now.read_file(experiment.path).drive
@@ -95,7 +87,7 @@ class _Cores:
             refutes.append(HEALTHY)
         broken = next((d.says for d in replay.diagnoses if d.final and d.cause in BROKEN), None)
         ratios["certificate"] = margin
-        return _Findings(tuple(refutes), ratios, scores, self.estimates(drive), broken)
+        return _Findings(tuple(refutes), ratios, scores, estimated(self.first, drive), broken)
 
     def _certificate(self, drive: Drive) -> tuple[float, bool]:
         """Largest margin of the certificate, and whether a vehicle without response would exceed 1, too."""
@@ -162,7 +154,7 @@ class Judge:
         drives = self.stored.manifest["drives"]
         known = {*drives["bounds"], *drives["calibration"]}
         experiments = [e for e in list_experiments(folder) if e.name in known]
-        return list(workers(self._cores.estimates_of_file, experiments))
+        return list(workers(partial(estimated_file, self.first), experiments))
 
 
 def _like(stored: StoredIdentification, scores: dict[str, float | None]) -> str:

@@ -23,9 +23,10 @@ from ...identify.export import export_vehicle
 from ...replay.replayer import Replayer
 from ..fleet.recordings import begun
 from ..fleet.state import FleetState
+from .own import OwnGains
 
 KIND = "refine"
-IDENTIFICATION, DRIVES, ORIGIN, LIFE = "identification", "drives", "origin", "life.json"
+IDENTIFICATION, DRIVES, ORIGIN, LIFE, OWN = "identification", "drives", "origin", "life.json", "own.json"
 """Content of a refined folder."""
 
 
@@ -39,12 +40,14 @@ class Lineage:
     drives : Path, folder of its drives
     origin : Path, folder of the first identification
     life : FleetState or None, of the lifetime test; None: no drive has been counted
+    own : OwnGains
     """
 
     stored: stage.StoredIdentification
     drives: Path
     origin: Path
     life: FleetState | None
+    own: OwnGains
 
     @classmethod
     def from_folder(cls, folder: Path, drives: Path | None) -> Lineage:
@@ -62,11 +65,12 @@ class Lineage:
                 folder / DRIVES,
                 folder / ORIGIN,
                 FleetState.read(folder / LIFE),
+                OwnGains.read(folder / OWN),
             )
         elif drives is None:
             raise InputError(folder, "--drives", "not given", "the folder of drives that were identified")
         else:
-            lineage = cls(stage.load(folder), drives, folder, None)
+            lineage = cls(stage.load(folder), drives, folder, None, OwnGains())
         known = lineage.stored.manifest["sha256"]
         for e in stage.DriveSet(
             lineage.stored.project, lineage.stored.model, lineage.drives

@@ -3,7 +3,8 @@
 The first rule that holds decides.
 
     fault          the lifetime test says that the vehicle changed, a sensor is broken, or the gain is off by
-                   half the least gain fault that `evaluate` injects
+                   half the least gain fault that `evaluate` injects. For a vehicle with own gains, its drives
+                   must show that their mean gain is off by less
     confirm        the drive refutes nothing
     new condition  its group has no known drive, and two recordings here
     recentre       the mean error of all drives is more than half of the largest: fit again
@@ -20,6 +21,7 @@ import numpy as np
 from ..fleet.scores import DriveEstimate
 from ..fleet.state import FleetState
 from .judgement import Judge, Judgement
+from .own import OwnGains, mean_changes
 
 FAULT, CONFIRM, CONDITION, RECENTRE, SPREAD = "fault", "confirm", "new condition", "recentre", "spread"
 ACTIONS = (FAULT, CONFIRM, CONDITION, RECENTRE, SPREAD)
@@ -54,6 +56,7 @@ def proposals(
     known: Sequence[tuple[DriveEstimate, ...]],
     life: FleetState,
     known_groups: set[str],
+    own: OwnGains,
 ) -> list[LearningProposal]:
     """Propose an action for every judged drive.
 
@@ -64,6 +67,7 @@ def proposals(
     known : Sequence, estimates of the known drives
     life : FleetState, after the judged drives
     known_groups : set of str, groups of known drives
+    own : OwnGains, by which the drives are divided
 
     Returns
     -------
@@ -81,11 +85,48 @@ def proposals(
         if g and g not in known_groups and len(recordings) >= FEWEST_OF_CONDITION
     }
     largest = _largest(known)
-    return [_proposal(j, life, least, shifted.get(_dominant(j.estimates, largest)), new) for j in judgements]
+    changed = _changed(judgements, own, least)
+    return [
+        _proposal(
+            j, life, _off(j, own, least) or changed.get(j.vehicle),
+            shifted.get(_dominant(j.estimates, largest)), new,
+        )
+        for j in judgements
+    ]  # fmt: skip
+
+
+def _off(judgement: Judgement, own: OwnGains, least: float) -> str | None:
+    """Say that the gain of a drive is off, where it is."""
+    if judgement.vehicle in own.vehicles:
+        gains, whose = own.changes([judgement.estimates])[0], f"{judgement.vehicle}'s own gain"
+    else:
+        gains, whose = np.array([e.gain for e in judgement.estimates]), "the first model's gain"
+    worst = int(np.abs(gains).argmax())
+    if abs(gains[worst]) < least:
+        return None
+    output = judgement.estimates[worst].output
+    return f"{output} has {1 + gains[worst]:.3f} of {whose}; from {least:.2g} off on it is taken for a fault"
+
+
+def _changed(judgements: Sequence[Judgement], own: OwnGains, least: float) -> dict[str, str]:
+    """Say of vehicles with own gains that their drives do not show a gain near these."""
+    by_vehicle: dict[str, list[tuple[DriveEstimate, ...]]] = {}
+    for j in judgements:
+        by_vehicle.setdefault(j.vehicle, []).append(j.estimates)
+    said = {}
+    for vehicle, (change, error) in mean_changes(own, by_vehicle).items():
+        drives, worst = by_vehicle[vehicle], int((np.abs(change) + error).argmax())
+        if abs(change[worst]) + error[worst] >= least:
+            said[vehicle] = (
+                f"{drives[0][worst].output} has {1 + change[worst]:.3f} of {vehicle}'s own gain in the mean "
+                f"of {len(drives)} drives, with an error up to {error[worst]:.2g}: they do not show less "
+                f"than {least:.2g}"
+            )
+    return said
 
 
 def _proposal(
-    judgement: Judgement, life: FleetState, least: float, shifted: str | None, new: set[str]
+    judgement: Judgement, life: FleetState, off: str | None, shifted: str | None, new: set[str]
 ) -> LearningProposal:
     member = life.members.get(judgement.vehicle)
     if member is not None and member.life.changed_at:
@@ -96,13 +137,8 @@ def _proposal(
         )
     if judgement.broken is not None:
         return LearningProposal(FAULT, judgement.broken)
-    worst = max(judgement.estimates, key=lambda e: abs(e.gain))
-    if abs(worst.gain) >= least:
-        return LearningProposal(
-            FAULT,
-            f"{worst.output} has {1 + worst.gain:.3f} of the first model's gain; from {least:.2g} off on it "
-            "is taken for a fault",
-        )
+    if off is not None:
+        return LearningProposal(FAULT, off)
     if not judgement.refutes:
         return LearningProposal(CONFIRM, "it refutes nothing")
     if judgement.experiment.group in new:

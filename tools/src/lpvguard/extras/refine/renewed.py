@@ -6,6 +6,7 @@ import csv
 import io
 import shutil
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -14,15 +15,18 @@ import numpy as np
 from ...base import artefacts
 from ...base.errors import InputError
 from ...base.parallel import Map
-from ...drives.tables import EXPERIMENTS, TABLE_SUFFIXES, index_rows
+from ...drives.tables import EXPERIMENTS, TABLE_SUFFIXES, index_rows, list_experiments
 from ...fit import fitted_model
 from ...fit.project_file import text_of
 from ...identify import identification as stage
+from ...replay.replayer import Replayer
 from ...report.pictures.drawing import standalone
 from ...report.pictures.over_bins import sets_side_by_side
 from ...vehicle.project import Project
+from ..fleet.scores import DriveEstimate
 from .decisions import GROUP_OF_KNOWN, Decisions, DriveDecision, Evidence
-from .lineage import DRIVES, IDENTIFICATION, KIND, LIFE, ORIGIN, Lineage, put
+from .lineage import DRIVES, IDENTIFICATION, KIND, LIFE, ORIGIN, OWN, Lineage, put
+from .own import OwnGains, estimated_file, responses
 from .proposals import CONDITION, RECENTRE
 
 DECISIONS, FIT, TABLE, PICTURE = "decisions.toml", "fit", "table.json", "bounds.svg"
@@ -76,8 +80,15 @@ def renew(
         [d.experiment(here) for d in decisions.drives], {d.name: d.vehicle for d in decisions.drives}
     )
     project = lineage.stored.project
-    with artefacts.new_folder(out, KIND, project.name) as folder:
-        _merge(lineage, accepted, here, folder / DRIVES)
+    with (
+        artefacts.new_folder(out, KIND, project.name) as folder,
+        lineage.first() as first,
+    ):
+        own = own_gains(lineage, first, evidence, {d.name for d in accepted}, workers)
+        with evidence.divided(own, project, folder, workers) as divided:
+            _merge(lineage, accepted, divided, folder / DRIVES)
+            progress("lifetime test")
+            divided.lived(lineage, first, workers)[0].write(folder / LIFE)
         if recentred:
             progress("new nominal model")
             fitted = fitted_model.fit(project, folder / DRIVES)
@@ -86,10 +97,6 @@ def renew(
         result, drives = stage.identify(project, folder / DRIVES, workers=workers, progress=progress)
         stage.save(result, drives, folder / IDENTIFICATION)
         shutil.copytree(lineage.origin, folder / ORIGIN)
-        progress("lifetime test")
-        with lineage.first() as first:
-            life = evidence.lived(lineage, first, workers)[0]
-        life.write(folder / LIFE)
         shutil.copyfile(path, folder / DECISIONS)
         lineage_of = {"seal": lineage.stored.manifest["seal"], "signed_by": decisions.signed_by}
         note = artefacts.manifest(
@@ -100,12 +107,37 @@ def renew(
             refused=[d.name for d in decisions.drives if not d.accept],
         )
         table = compared(lineage.stored, stage.load(folder / IDENTIFICATION))
-        files = {TABLE: artefacts.to_json(table), PICTURE: drawn(project, table), artefacts.MANIFEST: note}
+        files = {
+            TABLE: artefacts.to_json(table), PICTURE: drawn(project, table), OWN: own.text,
+            artefacts.MANIFEST: note,
+        }  # fmt: skip
         artefacts.write_files(folder, files)
         return table
 
 
-def _merge(lineage: Lineage, accepted: list[DriveDecision], here: Path, folder: Path) -> None:
+def own_gains(
+    lineage: Lineage, first: Replayer, evidence: Evidence, accepted: set[str], workers: Map = map
+) -> OwnGains:
+    """Own gains, also of the vehicles of which drives are accepted for the first time.
+
+    The vehicle with the project's name is that of the first identification, and has gains of 1.
+    """
+    own, estimates_of = lineage.own, partial(estimated_file, first)
+    if not own.known:
+        calibrating = set(lineage.stored.manifest["drives"]["calibration"])
+        known = [e for e in list_experiments(lineage.drives) if e.name in calibrating]
+        own = OwnGains(tuple(map(float, responses(list(workers(estimates_of, known))).mean(axis=0))))
+    without = {*own.vehicles, lineage.stored.project.name}
+    new = [e for e in evidence.experiments if e.name in accepted and evidence.vehicle[e.name] not in without]
+    by_vehicle: dict[str, list[tuple[DriveEstimate, ...]]] = {}
+    for e, estimates in zip(new, workers(estimates_of, new), strict=True):
+        by_vehicle.setdefault(evidence.vehicle[e.name], []).append(estimates)
+    for vehicle, first_drives in by_vehicle.items():
+        own = own.joined(vehicle, first_drives)
+    return own
+
+
+def _merge(lineage: Lineage, accepted: list[DriveDecision], divided: Evidence, folder: Path) -> None:
     """Write the folder of the known and the accepted drives; files are linked."""
     folder.mkdir()
     rows = index_rows(lineage.drives / EXPERIMENTS)
@@ -113,8 +145,9 @@ def _merge(lineage: Lineage, accepted: list[DriveDecision], here: Path, folder: 
         for suffix in TABLE_SUFFIXES:
             if (table := lineage.drives / f"{row['experiment']}{suffix}").is_file():
                 put(table.resolve(), folder / table.name)
+    tables = {e.name: e.path for e in divided.experiments}
     for d in accepted:
-        table = d.experiment(here).path
+        table = tables[d.name]
         put(table.resolve(), folder / f"{d.name}{table.suffix}")
     roles = {*lineage.stored.project.data.bound_split, *lineage.stored.project.data.noise_split}
     further = [
