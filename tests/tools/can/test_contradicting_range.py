@@ -40,3 +40,19 @@ def test_a_range_is_set_aside_where_its_bits_contradict_it(bits, numbers, stated
     elif stated != "0|0":
         kept = own._accepted(signal, low, high)
         assert kept["min"] >= low and kept["max"] <= high
+
+
+@pytest.mark.parametrize(
+    ("bits", "numbers", "stated", "contradicts"),
+    [
+        ("7|16@0-", "0.1,0", "0|3276.7", True),  # every right turn would be dropped
+        ("1|10@0+", "0.244,-125", "0|124.6", True),
+        ("7|16@0-", "-0.1,0", "-3276.7|0", True),
+        ("7|16@0+", "0.1,0", "0|6553.5", False),  # no bits for a sign
+        ("7|16@0-", "0.1,0", "-100|3276.7", False),
+    ],
+)
+def test_a_range_of_one_sign_is_set_aside_where_the_quantity_has_both(bits, numbers, stated, contradicts):
+    signal = signal_of(bits, numbers, stated)
+    assert not contradicting_range(signal)
+    assert bool(contradicting_range(signal, both_signs=True)) == contradicts

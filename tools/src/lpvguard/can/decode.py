@@ -156,15 +156,17 @@ def _with_signs(database: Database, path: Path) -> Database:
     return database
 
 
-def contradicting_range(signal: Signal) -> str:
+def contradicting_range(signal: Signal, both_signs: bool = False) -> str:
     """Explain why the stated range of a signal must be wrong.
 
     A range is wrong if both its ends are above, or both below, the ends that the raw bits can reach. It then
-    forbids values that occur and allows impossible values. Such a database often states raw values.
+    forbids values that occur and allows impossible values. Such a database often states raw values. The range
+    of a quantity with both signs is also wrong if it leaves out one sign that the bits have.
 
     Parameters
     ----------
     signal : Signal
+    both_signs : bool, the quantity is known to have both signs, default False
 
     Returns
     -------
@@ -177,12 +179,14 @@ def contradicting_range(signal: Signal) -> str:
     ends = (-whole // 2, whole // 2 - 1) if signal.is_signed else (0, whole - 1)
     low, high = sorted(float(signal.offset) + float(signal.scale) * end for end in ends)
     room = abs(float(signal.scale))
-    if (least > low + room and most > high + room) or (least < low - room and most < high - room):
-        return (
-            f"signal {signal.name}: the database's range [{least:g}|{most:g}] contradicts its bits, which "
-            f"reach from {low:g} to {high:g}; the range is ignored"
-        )
-    return ""
+    beyond = (least > low + room and most > high + room) or (least < low - room and most < high - room)
+    one_sided = both_signs and low < -room and room < high and (least >= 0 or most <= 0)
+    if not (beyond or one_sided):
+        return ""
+    return (
+        f"signal {signal.name}: the database's range [{least:g}|{most:g}] contradicts its bits, which "
+        f"reach from {low:g} to {high:g}; the range is ignored"
+    )
 
 
 def _encoding(path: Path) -> str | None:

@@ -15,11 +15,13 @@ from __future__ import annotations
 import difflib
 import re
 import warnings
-from collections.abc import Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from ..base.errors import InputError, InputWarning
 from ..vehicle.project import CanPlace, Checksum, OwnMessage, Project, Signal
@@ -136,11 +138,19 @@ def own_bus(project: Project, signals: Sequence[Signal] | None = None) -> CarBus
         place = _place(s.name, s.can, where)
         used.setdefault(place.message, []).extend((place.signal, *place.plus))
     database, path = _database(project.can.dbc), project.can.dbc
+    signed = {
+        (s.can.message, s.can.signal)
+        for s in (*project.inputs, *project.outputs)
+        if s.can is not None and not s.can.plus and s.min < 0 < s.max
+    }
     messages = []
     for number, (name, names) in enumerate(used.items()):
         settings = project.can.messages.get(name, OwnMessage())
         car = _car_message(database, name, path, where)
-        messages.append(_carried(car, list(dict.fromkeys(names)), settings, number, f"{where}, {path}"))
+        both_signs = [n for n in names if (name, n) in signed]
+        messages.append(
+            _carried(car, list(dict.fromkeys(names)), settings, number, f"{where}, {path}", both_signs)
+        )
     catalogue = Catalogue.model_validate(
         {
             "schema": 1,
@@ -160,6 +170,40 @@ def own_bus(project: Project, signals: Sequence[Signal] | None = None) -> CarBus
             halves = [c.ours for n in names for c in carried if c.name == n]
             places[s.name] = (message, halves, s.can.factor)
     return CarBus(catalogue, messages, places)
+
+
+def refused_values(project: Project, values: Mapping[str, np.ndarray]) -> list[str]:
+    """Name the signals of whose values the receiver of the own bus would refuse some.
+
+    Parameters
+    ----------
+    project : Project, with ``[can]``
+    values : Mapping, values (N,) by vehicle signal, in their units
+
+    Returns
+    -------
+    list of str, a sentence each
+
+    Raises
+    ------
+    InputError
+        As `own_bus`.
+    """
+    sentences = []
+    for name, (message, halves, factor) in own_bus(project).places.items():
+        accepted = halves[0].supervise
+        if accepted is None or len(halves) > 1 or name not in values:
+            continue
+        on_bus = factor * values[name][np.isfinite(values[name])]
+        step = abs(halves[0].scale)
+        outside = int(((on_bus < accepted.min - step) | (on_bus > accepted.max + step)).sum())
+        if outside:
+            sentences.append(
+                f"{name}: {outside} of {len(on_bus)} samples of the drives lie outside the database's range "
+                f"[{accepted.min:g}|{accepted.max:g}] of its signal in {message.title.split()[0]}; an ECU that is "
+                "generated from it refuses such frames"
+            )
+    return sentences
 
 
 @dataclass(frozen=True)
@@ -276,9 +320,17 @@ def _car_signal(car: CarMessage, name: str, where: str) -> CarSignal:
 
 
 def _carried(
-    car: CarMessage, names: list[str], settings: OwnMessage, number: int, where: str
+    car: CarMessage,
+    names: list[str],
+    settings: OwnMessage,
+    number: int,
+    where: str,
+    both_signs: Collection[str] = (),
 ) -> CarriedMessage:
-    """Make message ``number`` of the catalogue with the signals ``names`` of ``car``, in this order."""
+    """Make message ``number`` of the catalogue with the signals ``names`` of ``car``, in this order.
+
+    ``both_signs``: signals of quantities that have both signs.
+    """
     place = f"message {car.name}"
     period_ms = settings.period_ms or car.cycle_time
     if not period_ms:
@@ -290,7 +342,8 @@ def _carried(
     for k, name in enumerate(names):
         signal = _car_signal(car, name, where)
         sign = _car_signal(car, signs[name], where) if name in signs else None
-        signals += _carry(signal, sign, f"s{k}_" + _word(name).lower(), start, f"{where}, {place}")
+        ours = f"s{k}_" + _word(name).lower()
+        signals += _carry(signal, sign, ours, start, f"{where}, {place}", name in both_signs)
         start = signals[-1].ours.start + signals[-1].ours.length
     selector, selected = _multiplex(car, names, counter is not None, f"{where}, {place}")
     if start > _FRAME_BITS:
@@ -361,7 +414,9 @@ def _word(name: str) -> str:
     return re.sub(r"[^A-Za-z0-9]", "_", name)
 
 
-def _carry(signal: CarSignal, sign: CarSignal | None, name: str, start: int, where: str) -> list[Carried]:
+def _carry(
+    signal: CarSignal, sign: CarSignal | None, name: str, start: int, where: str, both_signs: bool
+) -> list[Carried]:
     """Carry a signal of the car as one unsigned signal, or as the sum of two, from bit ``start`` on."""
     widest = _SIGNAL_BITS - 1 if sign else _WIDEST_BITS
     if signal.is_float or signal.length > widest or (sign and signal.offset):
@@ -380,7 +435,7 @@ def _carry(signal: CarSignal, sign: CarSignal | None, name: str, start: int, whe
         offset -= scale * top
     if scale < 0:
         flip, offset, scale = flip ^ whole, offset + scale * whole, -scale
-    accepted = _accepted(signal, offset, offset + scale * whole)
+    accepted = _accepted(signal, offset, offset + scale * whole, both_signs and not sign)
     if sign and accepted:
         end = max(abs(accepted["min"]), abs(accepted["max"]))
         accepted = {"min": max(-end, offset), "max": min(end, offset + scale * whole)}
@@ -425,14 +480,16 @@ def _halves(signal: CarSignal) -> tuple[Place, Place]:
     return Place(signal.start, above, "big_endian"), Place(lower, _SIGNAL_BITS, "big_endian")
 
 
-def _accepted(signal: CarSignal, low: float, high: float) -> dict[str, float] | None:
+def _accepted(
+    signal: CarSignal, low: float, high: float, both_signs: bool = False
+) -> dict[str, float] | None:
     """Range of the database, rounded and limited to the raw values' range ``low`` to ``high``.
 
     The result is None if the database states no range, or a range that must be wrong.
     """
     if signal.minimum is None or signal.maximum is None or not signal.minimum < signal.maximum:
         return None
-    if why := contradicting_range(signal):
+    if why := contradicting_range(signal, both_signs):
         warnings.warn(why, InputWarning, stacklevel=1)
         return None
     rounding = _ROUNDING * abs(float(signal.scale))

@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from .refine_tables import print_changes
-from .shared import Jobs, Out, Vehicle, app, console, progress_bar, stored_for
+from .shared import Jobs, Out, Vehicle, app, console, progress_bar, stored_for, warn_of_ranges
 
 
 @app.command(epilog="Example: lpvguard export --vehicle g80 out/identify -o lib/vehicles/g80")
@@ -35,6 +35,7 @@ def export(
     from ..control.controller_export import export_chosen
 
     identified = stored_for(identification, vehicle)
+    warn_of_ranges(identified.project)
     with progress_bar("export") as tell, workers(jobs) as run:
         stored = export_chosen(identified, out, controller, group, tell, run)
     if stored.calibration.groups:

@@ -4,6 +4,7 @@ identification."""
 from __future__ import annotations
 
 import sys
+import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -18,7 +19,7 @@ from rich.text import Text
 
 from .. import __version__
 from ..base import artefacts
-from ..base.errors import InputError
+from ..base.errors import InputError, InputWarning
 from ..base.progress import Counted, Progress
 from ..vehicle.stored_settings import require_settings
 from .guard import Application, running
@@ -127,6 +128,25 @@ def project_of(vehicle: str) -> Project:
     from ..vehicle.project import load_project
 
     return load_project(vehicle)
+
+
+def warn_of_ranges(project: Project, folder: Path | None = None) -> None:
+    """Warn where the database of the vehicle's own bus has a range that its bits or the drives contradict."""
+    if project.can is None:
+        return
+    import numpy as np
+
+    from ..can.own import own_bus, refused_values
+    from ..drives.tables import list_experiments, read_drive
+
+    if folder is None:
+        own_bus(project)
+        return
+    drives = [read_drive(e.path, project) for e in list_experiments(folder)]
+    values = np.vstack([np.column_stack((d.v, d.u, d.y)) for d in drives]).T
+    names = [s.name for s in (project.speed, *project.inputs, *project.outputs)]
+    for sentence in refused_values(project, dict(zip(names, values, strict=True))):
+        warnings.warn(sentence, InputWarning, stacklevel=1)
 
 
 @app.callback(invoke_without_command=True)

@@ -86,6 +86,8 @@ _QUALIFIERS = frozenset(
         "est",
         "estimated",
         "signed",
+        "data",
+        "value",
     )
 )
 """Words behind a unit that say nothing of it."""
@@ -95,6 +97,8 @@ _SEPARATOR = re.compile(
     r"[.:\\](?=\w)|/(?!(?:s|sec|second|sek|sekunde|min|minute|h|hr|std|dt|ms|g|\d+)(?![a-z]))", re.IGNORECASE
 )
 """Signs between the parts of a signal's path, and no sign within a unit."""
+_MEMBER = re.compile(r"(?<=\w)\.(data|value)$")
+"""The one member of a message of a plain number, as of std_msgs: its topic says what it is."""
 _TOKEN = re.compile(r"°|º|[A-Z]+(?![a-z])|[A-Z]?[a-zäöüß]+|\d+")
 DIMENSIONS = {"speed": "m/s", "input": "rad", "output": "rad/s"}
 """By role: the SI unit of its signal."""
@@ -156,9 +160,10 @@ def split_name(name: str) -> tuple[str, str]:
 
     Examples
     --------
-    >>> split_name("/imu/rate_z"), split_name("ESP::Yaw [0.1 deg/s]"), split_name("v in m/s")
-    (('/imu', 'rate_z'), ('ESP:', 'Yaw [0.1 deg/s]'), ('', 'v in m/s'))
+    >>> split_name("/imu/rate_z"), split_name("ESP::Yaw [0.1 deg/s]"), split_name("steering_angle.data")
+    (('/imu', 'rate_z'), ('ESP:', 'Yaw [0.1 deg/s]'), ('', 'steering_angle'))
     """
+    name = _MEMBER.sub("", name)
     bare = _BRACKETS.sub(lambda match: "\0" * len(match[0]), name)
     at = max((match.start() for match in _SEPARATOR.finditer(bare)), default=-1)
     return name[: max(at, 0)], name[at + 1 :]

@@ -62,7 +62,7 @@ NEVER = {
         r"_[yz](_|$) ^v_?[yz](_|$) (^|_)lat(eral)?_?(_|v|sp) rel(ative|_|sp|v) target trgt trg$ air_?sp "
         r"set_?(p|speed) wunsch ziel soll lead obj wiper fan wind_ engine idle shaft turbine motor_sp "
         r"rpm max lim lmt trap tsr saved condition offset regel abbruch zeit gier yaw lacet imbard gui[nñ] "
-        r"ang steer sas rate_ hud clu_ kombi angez dsply display navi expected"
+        r"ang steer lenk sas rate_ hud clu_ kombi angez dsply display navi expected"
     ),
     "input": _any(
         r"rate(?!d) torque tq trq speed spd vel gesch grd moment hilfe fraction override volt "
