@@ -7,8 +7,10 @@ import pytest
 from mcap_ros2.reader import read_ros2_messages
 from rosbags.typesys import Stores, get_typestore
 
+from lpvguard.core.compiled import TESTS
 from lpvguard.replay.alarm_text import alarm_sentence
 from lpvguard.replay.ros import DIAGNOSTICS, DRIVE, ERROR, LEVELS, STALE, TWIST, WARN, write_ros2
+from lpvguard.replay.series import numbers
 
 
 @pytest.fixture(scope="module")
@@ -45,6 +47,37 @@ def test_the_diagnostics_say_each_verdict_and_each_alarm(recorded):
         for s, v in zip(said, verdicts, strict=True)
     )
     assert {s.hardware_id for s in said} == {"g80"}
+
+
+def test_the_ratios_say_how_near_each_test_is_to_its_threshold(recorded, replayer, alarmed):
+    """Below 0.5 normal, above 1 an alarm: the largest since the message before."""
+    path, series, alarms = recorded
+    run = alarmed[1].run
+    frames, counted = run.frames, run.frames.counted
+    thresholds = (replayer.energy_threshold, replayer.change_threshold)
+    for test, x, threshold in zip(("energy", "change"), (run.energy, run.change), thresholds, strict=True):
+        ratio = numbers(series[f"test_ratio/{test}"])
+        np.testing.assert_allclose(ratio[x > 0], x[x > 0] / threshold)
+        assert np.isnan(ratio[x == 0]).all()
+    ratio = numbers(series["test_ratio/frame"])
+    at = np.unique(np.round((frames.t_judged_s - frames.t_judged_s[0]) * 1e6), return_inverse=True)[1]
+    largest = np.zeros(at.max() + 1)
+    np.maximum.at(largest, at[counted], np.maximum(frames.statistic, frames.pooled)[counted])
+    np.testing.assert_allclose(ratio[np.isfinite(ratio)], largest[largest > 0] / replayer.threshold)
+    t = numbers(series["t"])
+    messages = read(path)["/diagnostics"]
+    ends = [m.log_time_ns * 1e-9 for m in messages]
+    for test in TESTS:
+        ratio = numbers(series[f"test_ratio/{test}"])
+        own = [a["t_s"] for a in alarms if a["test"] == test]
+        soon = [(t > t_s - 1e-6) & (t < t_s + 1.0) for t_s in own]  # judged after the frame has ended
+        assert own and all(np.nanmax(ratio[window]) > 1.0 for window in soon)
+        assert np.nanmin(ratio) < 0.5
+        for begin, end, m in zip([-1.0, *ends], ends, messages, strict=False):
+            values = {v.key: v.value for v in m.ros_msg.status[0].values}
+            since = ratio[(t > begin + 1e-6) & (t < end + 1e-6)]
+            said = values.get(f"{test} test ratio")
+            assert said == (f"{np.nanmax(since):.4g}" if np.isfinite(since).any() else None)
 
 
 def test_a_part_that_differs_has_a_status_of_its_own(recorded, tmp_path):

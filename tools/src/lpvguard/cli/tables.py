@@ -275,6 +275,9 @@ def print_tests(result: Identification) -> None:
         console.print(result.pools.speeds_text())
     if result.pools is not None and (c := result.pools.calibration).target:
         console.print(f"pools: threshold {c.carried:.4g} ({c.claim()}); rates are a quarter of all tests'")
+    if result.confirmation is not None:
+        print_rows(result.confirmation.table())
+        console.print(result.confirmation.sentence())
     if (i := result.isolation) is not None:
         console.print(f"parts: least sizes told apart in {i.window_s:g} s; * by structure, too")
         print_rows(i.isolable_rows(result.project))

@@ -11,6 +11,7 @@ Writes a folder with
     energy.json       energy test: filters, certificate, sigma, scores, threshold (energy.py); only with Hann
                       frames
     change.json       change test: sizes, scores, threshold (change.py); only with Hann frames
+    confirmation.json designs k of m of the frame test, compared; only with a rate (confirmation.py)
     pools.json        bounds of pools of frames, and the remainders behind them (pools.py); only with Hann
                       frames
     diagnosis.json scales of the diagnosis of alarms (diagnosis.py); only with Hann frames isolation.json
@@ -50,6 +51,7 @@ from ..vehicle.project import Project, parse_project
 from .bounds import FRONT_POINTS, Bounds, Part, fold
 from .calibration import Calibration
 from .change import ChangeTest
+from .confirmation import Confirmation
 from .diagnosis import DiagnosisScales
 from .drive_set import Chosen
 from .drive_set import DriveSet as DriveSet
@@ -96,6 +98,7 @@ class Identification:
     energy : EnergyTest or None
     change : ChangeTest or None
     pools : Pools or None
+    confirmation : Confirmation or None
     diagnosis : DiagnosisScales or None
     isolation : Isolation or None
     visibility : dict
@@ -116,6 +119,7 @@ class Identification:
     energy: EnergyTest | None
     change: ChangeTest | None
     pools: Pools | None
+    confirmation: Confirmation | None
     diagnosis: DiagnosisScales | None
     isolation: Isolation | None
     visibility: dict
@@ -229,7 +233,7 @@ def identify(
     if chosen.noise:
         noise_peak = fold(run.first_parts(chosen.noise, ceiling, keep=False))["E"]
     bounds, weights = _weighted(run, chosen, error, first, noise_peak, command["Y"])
-    weights, calibration, energy, change, pools = run.calibrated(weights, bounds, chosen)
+    weights, calibration, energy, change, pools, confirmation = run.calibrated(weights, bounds, chosen)
     progress("window error")
     result = Identification(
         project=project,
@@ -242,6 +246,7 @@ def identify(
         energy=energy,
         change=change,
         pools=pools,
+        confirmation=confirmation,
         diagnosis=run.diagnosis(change, chosen),
         isolation=run.isolation(chosen),
         visibility=run.visibility(weights, calibration, pools, change, chosen),
@@ -318,6 +323,11 @@ def save(result: Identification, drives: DriveSet, target: Path) -> None:
                 **({"change.json": artefacts.to_json(result.change.to_dict())} if result.change else {}),
                 **({"pools.json": artefacts.to_json(result.pools.to_dict())} if result.pools else {}),
                 **(
+                    {"confirmation.json": artefacts.to_json(result.confirmation.to_dict())}
+                    if result.confirmation
+                    else {}
+                ),
+                **(
                     {"diagnosis.json": artefacts.to_json(result.diagnosis.to_dict())}
                     if result.diagnosis
                     else {}
@@ -361,6 +371,7 @@ class StoredIdentification:
     energy : EnergyTest or None
     change : ChangeTest or None
     pools : Pools or None
+    confirmation : Confirmation or None
     diagnosis : DiagnosisScales or None
     isolation : Isolation or None
     visibility : dict
@@ -379,18 +390,24 @@ class StoredIdentification:
     energy: EnergyTest | None
     change: ChangeTest | None
     pools: Pools | None
+    confirmation: Confirmation | None
     diagnosis: DiagnosisScales | None
     isolation: Isolation | None
     front: dict[str, np.ndarray]
     visibility: dict
     model_error: ModelError
 
+    @property
+    def designed(self) -> Project:
+        """The project with the chosen confirmation of the frame test."""
+        return self.project if self.confirmation is None else self.confirmation.of_project(self.project)
+
     @cached_property
     def coefficients(self) -> Coefficients:
         """Coefficients of the core. Raises InputError for an estimator that the core does not support."""
         threshold = self.calibration.exported
         return coefficients_of(
-            self.project,
+            self.designed,
             self.model,
             self.estimator,
             self.fitted,
@@ -472,12 +489,14 @@ def load(folder: Path) -> StoredIdentification:
             f"{estimator.identifier()}, the estimator of project.json",
         )
     weights, fitted = read("weights", lambda document, where: (document, Weights.from_dict(document, where)))
-    energy = change = diagnosis = pools = isolation = None
+    energy = change = diagnosis = pools = confirmation = isolation = None
     if estimator.window == "hann":
         energy = read("energy", energy_filters(project, estimator, fitted).restored)
         change = read("change", ChangeTest.design(project).restored)
         if (folder / "pools.json").is_file():  # older identifications have none
             pools = read("pools", lambda document, _: Pools.from_dict(document))
+        if (folder / "confirmation.json").is_file():  # only with a rate
+            confirmation = read("confirmation", lambda document, _: Confirmation.from_dict(document))
         if (folder / "diagnosis.json").is_file():  # older identifications have none
             diagnosis = read("diagnosis", lambda document, _: DiagnosisScales.restored(project, document))
     if (folder / ISOLATION).is_file():
@@ -496,6 +515,7 @@ def load(folder: Path) -> StoredIdentification:
         energy,
         change,
         pools,
+        confirmation,
         diagnosis,
         isolation,
         front,

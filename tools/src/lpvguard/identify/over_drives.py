@@ -18,6 +18,7 @@ from ..vehicle.project import FrameTestSettings
 from .bounds import Bounds, Deciders, Part, covering, fold, front_grid, undominated
 from .calibration import RATED, Calibration, Peak, RateTarget, Recordings, calibrate
 from .change import ChangeTest
+from .confirmation import MOST_DRIVES, Confirmation, designs_of
 from .diagnosis import DiagnosisScales
 from .drive_set import Chosen, DriveSet, require_calibration
 from .energy import EnergyTest
@@ -31,6 +32,7 @@ from .passes import (
     Judged,
     change_met_pass,
     change_products_pass,
+    confirmation_pass,
     diagnosis_pass,
     energy_pass,
     error_sums_of,
@@ -281,8 +283,9 @@ class OverDrives:
 
     def calibrated(
         self, weights: Weights, bounds: Bounds, drives: Chosen
-    ) -> tuple[Weights, Calibration, EnergyTest | None, ChangeTest | None, Pools | None]:
-        """Weights with their final inflation, the tests with their thresholds, and the bounds of pools.
+    ) -> tuple[Weights, Calibration, EnergyTest | None, ChangeTest | None, Pools | None, Confirmation | None]:
+        """Weights with their final inflation, the tests with their thresholds, the bounds of pools, and the
+        choice of the confirmation.
 
         The plain DFT has only the frame test. Raises InputError where no drive calibrates.
         """
@@ -294,7 +297,7 @@ class OverDrives:
             self._require_scores(drives, judged=bool(scores))
             scores = {n: s / inflated.inflation for n, s in scores.items()}
             by_frames = calibrate(scores, alpha, recordings=recordings).over(self._judged_s)
-            return inflated, by_frames, None, None, None
+            return inflated, by_frames, None, None, None, None
         first = self._with_sigma(energy_filters(project, estimator, weights), bounds.resolution, drives)
         change = self._change_test(drives)
         with scratch_core(
@@ -304,7 +307,15 @@ class OverDrives:
             inflated = replace(inflated, silent=self._silent(inflated, bounds.frames))
             test = self._energy_test(inflated, first, far, bounds.resolution, drives)
             reals = coefficients_of(project, model, estimator, inflated, 1.0, test, change).flat_reals()
-            scores, energy_scores, change_scores = self._scores(weights, core, reals, drives)
+            confirmation = self._confirmation(core, reals, recordings, drives)
+            designed = project if confirmation is None else confirmation.of_project(project)
+            if designed == project:
+                by_test = self._scores(weights, core, reals, drives)
+            else:
+                numbers = coefficients_of(designed, model, estimator, inflated, 1.0, test, change)
+                with scratch_core(designed, numbers) as chosen:
+                    by_test = self._scores(weights, chosen, None, drives)
+            scores, energy_scores, change_scores = by_test
             speaks = bool(scores) and len(inflated.silent) < estimator.n_bins
             self._require_scores(drives, judged=speaks or bool(energy_scores or change_scores))
             aim = partial(self._target, project.frame_test)
@@ -318,7 +329,22 @@ class OverDrives:
                 replace(test, calibration=test.calibration.over(self._judged_s)),
                 replace(change, calibration=change.calibration.over(self._judged_s)),
                 replace(pools, calibration=pools.calibration.over(self._judged_s)),
+                confirmation,
             )
+
+    def _confirmation(
+        self, core: Core, reals: np.ndarray, recordings: Recordings, drives: Chosen
+    ) -> Confirmation | None:
+        """Choice of the confirmation on the calibration drives, or None without a rate."""
+        settings, designs = self.reader.project.frame_test, designs_of(self.reader.project)
+        if settings.alarms_per_1000_h is None:
+            return None
+        every = sorted(e.name for e in drives.others)
+        planted = frozenset(every[:: -(-len(every) // MOST_DRIVES)])
+        task = partial(confirmation_pass, self.reader, core, reals, designs, planted)
+        results = self.over("confirmation", task, drives.others)
+        by_drive = {e.name: c for e, c in zip(drives.others, results, strict=True)}
+        return Confirmation.compared(self.reader.project, designs, by_drive, recordings)
 
     def _target(self, settings: FrameTestSettings, test: str) -> RateTarget | None:
         """Target rate of a test, an equal share of the rate of all tests, or None without a rate."""

@@ -30,6 +30,7 @@ from .bounds import (
 )
 from .calibration import Peak, block_maxima, change_score, energy_score, peaks, score
 from .change import ChangeTest, Met, estimates_met, regressor_products
+from .confirmation import Confirmed, Design, judged_drive
 from .diagnosis import Windows, windows_of
 from .energy import EnergyTest
 from .error_domain import ErrorDomain
@@ -325,6 +326,23 @@ class Judged(NamedTuple):
     peaks: dict[str, Peak]
     energy_of_cuts: float = 0.0
     maxima: dict[str, list[float]] = {}  # noqa: RUF012
+
+
+def confirmation_pass(
+    reader: DriveReader,
+    core: Core,
+    reals: np.ndarray,
+    designs: tuple[Design, ...],
+    planted: frozenset[str],
+    experiment: Experiment,
+) -> Confirmed:
+    """Judge a drive by all ``designs``, and with gain errors if it is among the ``planted``.
+
+    ``reals`` (R,) are the numbers of the core.
+    """
+    drive, estimator = reader.read(experiment)[0], reader.estimator
+    with_errors = experiment.name in planted
+    return judged_drive(core, reals, drive, reader.project, estimator.length, designs, planted=with_errors)
 
 
 def judge(

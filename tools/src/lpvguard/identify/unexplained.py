@@ -182,8 +182,11 @@ def _alarms(
     if result.energy is None or result.change is None:
         raise not_for_the_core(result.project)
     reader, carried = DriveReader(result.project, result.model), result.calibration.exported
+    project = result.project
+    if result.confirmation is not None:
+        project = result.confirmation.of_project(project)
     coefficients = coefficients_of(
-        result.project, result.model, result.estimator, result.weights, carried, result.energy, result.change
+        project, result.model, result.estimator, result.weights, carried, result.energy, result.change
     )
     with scratch_core(result.project, coefficients) as core:
         return sum(workers(partial(_alarms_of_drive, reader, core, settings), known))

@@ -14,7 +14,7 @@ from ..base.runs import runs
 from ..can.logs import Frames, is_raw_table, read_log, stem
 from ..can.play import frames_of_drive, values_of_drive
 from ..core.compiled import CAUSES, CHANGE_PARTS, REASONS, STATUSES, VERDICTS, Core, Run, band_names
-from ..drives.frames import Estimator
+from ..drives.frames import Estimator, excited_samples
 from ..drives.tables import TABLE_SUFFIXES, Drive, read_drive, require_units, speed_of_missing
 from ..vehicle.nominal import NominalModel
 from ..vehicle.project import Project
@@ -22,8 +22,6 @@ from .causes import Diagnosis, diagnosed
 from .parts import NamedPart, PartNamer, alarms_begin
 from .receive import Receiver
 from .series import table_of
-
-EXCITED_WINDOW_S = 10.0
 
 
 @dataclass(frozen=True)
@@ -216,34 +214,6 @@ class Recorded:
 
     drive: Drive
     can: dict[str, Any] | None = None
-
-
-def excited_samples(u: np.ndarray, Ts: float, threshold: float) -> np.ndarray:
-    """Mark the samples where an input is excited.
-
-    Parameters
-    ----------
-    u : ndarray (N, n_u), input units
-    Ts : float, s
-    threshold : float, least standard deviation over the surrounding 10 s [input unit]
-
-    Returns
-    -------
-    ndarray (N,) of bool
-
-    References
-    ----------
-    THEORY 11.
-    """
-    half = round(EXCITED_WINDOW_S / Ts / 2)
-    low = np.maximum(np.arange(len(u)) - half, 0)
-    high = np.minimum(np.arange(len(u)) + half + 1, len(u))
-    centred = u - u.mean(axis=0)  # the difference of running sums would cancel against a large mean
-    sums, squares = (np.vstack([np.zeros(u.shape[1]), np.cumsum(x, axis=0)]) for x in (centred, centred**2))
-    count = (high - low)[:, None]
-    mean = (sums[high] - sums[low]) / count
-    variance = (squares[high] - squares[low]) / count - mean**2
-    return (np.sqrt(np.maximum(variance, 0.0)) > threshold).any(axis=1)
 
 
 class Replayer:
@@ -495,7 +465,12 @@ class Replayer:
 
     def series_of(self, drive: Drive, yhat: np.ndarray, run: Run, t0: float) -> pa.Table:
         """One piece of a time series, with nominal outputs ``yhat`` (N, n_y); t counts from ``t0`` [s]."""
-        return table_of(self.project, yhat, self.estimator.omega, drive, run, t0)
+        thresholds = {
+            "frame": self.threshold,
+            "energy": self.energy_threshold,
+            "change": self.change_threshold,
+        }
+        return table_of(self.project, yhat, self.estimator.omega, thresholds, drive, run, t0)
 
     def series_columns(self) -> list[str]:
         """Names of the columns of every series of this vehicle."""

@@ -1,7 +1,8 @@
 """Write the time series of a replay as ROS 2 messages to an MCAP file (rosbag2), without ROS.
 
-/diagnostics            diagnostic_msgs/DiagnosticArray: at each change of verdict, alarm and second; a part
-                        that differs has a status of its own at the end of its window (parts.py)
+/diagnostics            diagnostic_msgs/DiagnosticArray: at each change of verdict, alarm and second, with the
+                        largest ratio of each test to its threshold since the message before; a part that
+                        differs has a status of its own at the end of its window (parts.py)
 /vehicle/twist          geometry_msgs/TwistStamped: speed as linear.x, measured yaw rate as angular.z
 /vehicle/twist_nominal  the same with the nominal yaw rate
 /vehicle/drive          ackermann_msgs/AckermannDriveStamped: speed and road-wheel angle
@@ -20,8 +21,9 @@ import numpy as np
 import pyarrow as pa
 
 from ..base.optional import optional
+from ..core.compiled import TESTS
 from .alarm_text import alarm_sentence
-from .series import MARGIN, numbers
+from .series import TEST_RATIO, numbers
 
 if TYPE_CHECKING:
     from .replayer import Alarm
@@ -32,6 +34,7 @@ LEVELS = {"valid": OK, "degraded": WARN, "invalid": ERROR, "fault": ERROR}
 """Level of each verdict; the others judge nothing and are STALE."""
 PERIOD_NS = 10**9
 """Longest time between two diagnostics [ns]."""
+NO_RATIO = np.full(len(TESTS), np.nan)
 _LINE = "=" * 80
 _HEADER = (
     f"{_LINE}\nMSG: std_msgs/Header\nbuiltin_interfaces/Time stamp\nstring frame_id\n"
@@ -100,7 +103,7 @@ class Ros2Recorder:
         self._kinds = {kind: self._writer.register_msgdef(kind, text) for kind, text in DEFINITIONS.items()}
         self._vehicle, self._number = vehicle, 0
         self._verdict: str | None = None
-        self._last, self._margin = -PERIOD_NS, np.nan
+        self._last, self._largest = -PERIOD_NS, NO_RATIO
 
     def hear(
         self,
@@ -133,25 +136,22 @@ class Ros2Recorder:
     ) -> Iterator[Message]:
         """Yield the monitor's state at each change, alarm and second."""
         verdicts = series["verdict"].to_pylist()
-        ratios = {name: numbers(series[name]) for name in ("energy_ratio", "change_ratio")}
-        margins = np.array([numbers(series[n]) for n in series.column_names if n.startswith(MARGIN)])
-        largest = np.fmax.reduce(margins, axis=0)
+        ratios = np.array([numbers(series[TEST_RATIO + test]) for test in TESTS]).T
         sentences: dict[int, list[str]] = {}
         for one in alarms:
             t_s = one["t_s"] if isinstance(one, dict) else one.t_s
             sentences.setdefault(int(np.argmin(np.abs(stamps - t_s * 1e9))), []).append(alarm_sentence(one))
         for k, (t, verdict) in enumerate(zip(stamps.tolist(), verdicts, strict=True)):
-            self._margin = np.fmax(self._margin, largest[k])
+            self._largest = np.fmax(self._largest, ratios[k])
             if verdict == self._verdict and 0 <= t - self._last < PERIOD_NS and k not in sentences:
                 continue
             values = {"verdict": verdict}
-            if np.isfinite(self._margin):
-                values["largest margin"] = f"{self._margin:.4g}"
-            values |= {name: f"{x[k]:.4g}" for name, x in ratios.items() if np.isfinite(x[k])}
+            by_test = zip(TESTS, self._largest.tolist(), strict=True)
+            values |= {f"{test} test ratio": f"{x:.4g}" for test, x in by_test if np.isfinite(x)}
             words = "; ".join(sentences.get(k, [verdict.replace("_", " ")]))
             level = LEVELS.get(verdict, STALE)
             yield _status(t, level, "lpvguard: nominal model", words, self._vehicle, values)
-            self._verdict, self._last, self._margin = verdict, t, np.nan
+            self._verdict, self._last, self._largest = verdict, t, NO_RATIO
 
 
 def _part(vehicle: str, named: dict[str, Any]) -> Message:

@@ -7,6 +7,8 @@ e/NAME        NAME minus yhat/NAME
 margin/RAD_S  t* of the bin with that frequency [rad/s]; null unless the core judged a counted frame of it
 energy_ratio  the energy test's ratio; null where it does not judge
 change_ratio  the change test's newest; null before its first
+test_ratio/TEST  statistic of the frame (pools included), energy or change test over its threshold: below 0.5
+              normal, above 1 an alarm, as MAVLink's test ratios; null where the test does not judge
 verdict       text, and verdict_code: its number in monitor.h
 
 A column's metadata hold its unit as "unit".
@@ -23,6 +25,10 @@ MARGIN = "margin/"
 """Prefix of the names of margin columns."""
 
 
+TEST_RATIO = "test_ratio/"
+"""Prefix of the names of columns with the ratio of a test's statistic to its threshold."""
+
+
 def margin_column(omega: float) -> str:
     """Name of the column of the bin with frequency ``omega`` [rad/s]."""
     return f"{MARGIN}{omega:.4g}"
@@ -34,12 +40,18 @@ def numbers(column: pa.ChunkedArray) -> np.ndarray:
 
 
 def table_of(
-    project: Project, yhat: np.ndarray, omega: np.ndarray, drive: Drive, run: Run, t0: float
+    project: Project,
+    yhat: np.ndarray,
+    omega: np.ndarray,
+    thresholds: dict[str, float],
+    drive: Drive,
+    run: Run,
+    t0: float,
 ) -> pa.Table:
     """Series of a drive as a table of N rows; the module's docstring lists the columns.
 
-    ``yhat`` (N, n_y) are nominal outputs, ``omega`` (K,) [rad/s] the bins' frequencies. Column t counts from
-    ``t0`` [s].
+    ``yhat`` (N, n_y) are nominal outputs, ``omega`` (K,) [rad/s] the bins' frequencies, ``thresholds`` those
+    of the tests. Column t counts from ``t0`` [s].
     """
     absent = np.zeros(len(drive.t), bool) if drive.missing is None else drive.missing
     columns: dict[str, pa.Array] = {"t": pa.array(drive.t - t0)}
@@ -58,6 +70,10 @@ def table_of(
         columns[margin_column(omega[k])] = pa.array(values, mask=np.isnan(values))
     columns["energy_ratio"] = pa.array(run.energy, mask=run.energy == 0)
     columns["change_ratio"] = pa.array(run.change, mask=run.change == 0)
+    largest = np.zeros(len(drive.t))
+    np.maximum.at(largest, row, np.maximum(run.frames.statistic, run.frames.pooled)[counted])
+    for test, x in {"frame": largest, "energy": run.energy, "change": run.change}.items():
+        columns[TEST_RATIO + test] = pa.array(x / thresholds[test], mask=x == 0)
     columns["verdict"] = pa.array([VERDICTS[code] for code in run.verdict])
     columns["verdict_code"] = pa.array(run.verdict)
     units = {s.name: s.unit for s in (project.speed, *project.inputs, *project.outputs)} | {"t": "s"}

@@ -22,6 +22,7 @@ from .pictures.drawing import files, kept, shared
 from .sections.bounds import bound_sections
 from .sections.campaign import campaign_section
 from .sections.closed_loop import loop_section
+from .sections.confirmation import confirmation_section
 from .sections.design import design_section
 from .sections.drives import drive_section, plain_section, visit, visit_plain
 from .sections.evaluation import evaluation_section
@@ -139,6 +140,8 @@ def _identification_sections(
     yield from bound_sections(drawn)
     yield time_section(visits, stored, drives)
     yield visibility_section(visits, drawn)
+    if stored.confirmation is not None:
+        yield confirmation_section(stored.confirmation)
     if stored.isolation is not None:
         yield isolation_section(stored.isolation, stored.project)
     yield drive_section(summaries, replayer.threshold) if replayer is not None else plain_section(rows)

@@ -319,6 +319,7 @@ class FrameTestSettings(StrictModel):
     ----------
     confirm : int, exceedances that make an alarm
     of_last : int, frames of a bin among which they are counted
+        With a rate and ``of_last`` 1, identify chooses both for it (THEORY 7.20).
     alpha : float, false-alarm rate that calibration aims at
     alarms_per_1000_h : float or None
         Rate of all tests together per 1000 judged hours, in place of alpha (THEORY 7.20).

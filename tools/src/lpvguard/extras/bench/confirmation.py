@@ -11,29 +11,21 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
 
 from ...base.parallel import workers
 from ...base.rates import rate as share
 from ...base.rates import share_words
 from ...base.tails import Peaks, Tail, separate
+from ...identify.confirmation import DESIGNS, confirmed, design_words
 from . import numbers_of, parser, require_at_least, show
 from .rates import BLOCKS, FAMILIES, RATES_PER_1000_H, RECORDING_H
 
 FRAMES, FRAME_S = 3, 10.0
 """Number of frames in a block of 30 s, and length of a frame."""
-DESIGNS = ((1, 1), (2, 2), (2, 3), (2, 6), (3, 3), (3, 6))
-"""Designs k of m."""
 FOUND = 0.95
 """Share of the drives that must detect a fault of the stated size."""
 SEARCHED = 2000
 """Number of drives with a fault."""
-
-
-def confirmed(scores: np.ndarray, k: int, m: int) -> np.ndarray:
-    """k-th largest of the last m scores (recordings, n) of each recording; -inf for fewer than k."""
-    padded = np.pad(scores, ((0, 0), (m - 1, 0)), constant_values=-np.inf)
-    return np.partition(sliding_window_view(padded, m, axis=1), m - k, axis=2)[..., m - k]
 
 
 def least_found(noise: np.ndarray, threshold: float, k: int, m: int) -> float:
@@ -98,7 +90,13 @@ def bench_confirmation(
                 row["least"] = {f"{d:g}": size / single for d, size in row["least"].items()}
             rows += same_rate
     inside = share(sum(r["inside"] for r in rows), len(rows))
-    return {"hours": hours, "fresh_h": fresh_h, "inside": inside, "rows": rows}
+    chosen = [
+        min(rows[i : i + len(DESIGNS)], key=lambda r: r["least"][f"{d:g}"])
+        for i in range(0, len(rows), len(DESIGNS))
+        for d in delays
+    ]
+    inside_chosen = share(sum(r["inside"] for r in chosen), len(chosen))
+    return {"hours": hours, "fresh_h": fresh_h, "inside": inside, "chosen": inside_chosen, "rows": rows}
 
 
 def words(result: dict[str, Any]) -> str:
@@ -111,7 +109,6 @@ def words(result: dict[str, Any]) -> str:
     ]
     for r in result["rows"]:
         low, high = r["interval_per_1000_h"]
-        k, m = r["design"]
         same = [
             x
             for x in result["rows"]
@@ -124,12 +121,13 @@ def words(result: dict[str, Any]) -> str:
             sizes.append(f"{size:6.2f}" if np.isfinite(size) else f"{'–':>6}")
             sizes[-1] += "*" if size == best else " "
         lines.append(
-            f"{r['family']:<12} {k} of {m}  {r['promised_per_1000_h']:>8g}  {r['counted_per_1000_h']:>8.3g} "
-            f"({low:.2g} to {high:.2g})".ljust(66)
+            f"{r['family']:<12} {design_words(r['design'])}  {r['promised_per_1000_h']:>8g}  "
+            f"{r['counted_per_1000_h']:>8.3g} ({low:.2g} to {high:.2g})".ljust(66)
             + "".join(sizes)
         )
     lines += [
-        "*: the design that a target of this rate and delay chooses",
+        "*: the design that a target of this rate and delay chooses; of these counted within the interval: "
+        f"{share_words(result['chosen'])}",
         f"counted within the interval: {share_words(result['inside'])}",
     ]
     return "\n".join(lines)

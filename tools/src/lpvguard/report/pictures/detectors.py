@@ -9,6 +9,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import NullLocator
 
 from ...evaluate.comparison import row_name
+from ...identify.confirmation import OTHERS, Confirmation
 from .drawing import BLUE, GREEN, ORANGE, PINK, POINTS, RED, SKY, new_figure, picture
 
 SOONEST_S = 0.01
@@ -22,6 +23,8 @@ DETECTOR_STYLES = (
     (RED, (0, (5, 1)), "v", 1.1),
     (SKY, (0, (3, 1, 1, 1)), "P", 1.1),
 )
+OTHER_STYLES = ((POINTS, "-", "", 1.1), (POINTS, ":", "", 1.1))
+"""Styles of the energy and the change test beside designs of the frame test."""
 
 
 @picture
@@ -67,6 +70,44 @@ def time_to_find(faults: list[dict], allowed_s: float) -> Figure:
     axes.set_yticks(range(len(faults)), [row_name(row) for row in faults])
     axes.invert_yaxis()
     axes.set_xlabel("judged, excited seconds from the fault to the first alarm")
+    return figure
+
+
+@picture
+def confirmation_tradeoff(confirmation: Confirmation) -> Figure:
+    """Draw the smallest gain error found in time, and the delay of a larger one, over the rate of alarms.
+
+    Parameters
+    ----------
+    confirmation : Confirmation
+
+    Returns
+    -------
+    Figure
+    """
+    figure = new_figure(8.2, 3.2)
+    panels = figure.subplots(1, 2, sharex=True)
+    labels = ("smallest gain error found in time", f"s until {confirmation.shown:.2g} is found")
+    for axes, key, label in zip(panels, ("least_by_rate", "delay_by_rate"), labels, strict=True):
+        styles = [*DETECTOR_STYLES[: len(confirmation.rows) - len(OTHERS)], *OTHER_STYLES]
+        for row, (colour, line, marker, width) in zip(confirmation.rows, styles, strict=False):
+            y = np.array([np.nan if x is None else x for x in row[key]])
+            axes.plot(
+                confirmation.rates,
+                y,
+                ls=line,
+                marker=marker,
+                lw=width,
+                ms=4,
+                color=colour,
+                label=row["label"],
+            )
+        axes.axvline(confirmation.per_1000_h, color=POINTS, ls="--")
+        axes.set_xscale("log")
+        axes.set_xlabel("promised alarms in 1000 h")
+        axes.set_ylabel(label)
+    handles, names = panels[0].get_legend_handles_labels()
+    figure.legend(handles, names, loc="outside upper center", ncols=len(names))
     return figure
 
 

@@ -5,13 +5,14 @@ from html import escape
 import numpy as np
 
 from ...core.compiled import REASONS, VERDICTS
+from ...drives.frames import excited_samples
 from ...drives.tables import Drive
 from ...engine.validation import s1
 from ...fit.quality import of_drive
 from ...identify.bounds import counted_frames
 from ...identify.identification import DriveSet, StoredIdentification
 from ...identify.unexplained import left_unexplained
-from ...replay.replayer import Alarm, Replay, Replayer, excited_samples
+from ...replay.replayer import Alarm, Replay, Replayer
 from ..drive_summary import DriveSummary, course, nearest
 from ..identification_pictures import drive_map
 from ..markup import captioned, html_table, number

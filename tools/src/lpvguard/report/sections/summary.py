@@ -111,7 +111,7 @@ def _rows(
     stored: StoredIdentification, replayer: Replayer | None, estimator: Estimator
 ) -> list[tuple[str, str]]:
     """Label and text of every line of the summary."""
-    project = stored.project
+    project, design = stored.project, stored.designed.frame_test
     threshold = stored.calibration.carried if replayer is None else replayer.threshold
     if replayer is None:
         judge = "the exact margin finds none above 1 on the bound-setting drives"
@@ -135,7 +135,7 @@ def _rows(
         ("estimator", _estimator_words(stored, estimator)),
         (
             "threshold of the frame test",
-            f"{threshold:.4g} on the {project.frame_test.confirm}-of-{project.frame_test.of_last} margin",
+            f"{threshold:.4g} on the {design.confirm}-of-{design.of_last} margin",
         ),
         ("alpha", _claim(stored)),
         ("conditional bound", _conditional_claim(stored)),
