@@ -7,10 +7,9 @@
 /// The theta of a healthy vehicle varies between drives, with the covariance `spread` of the drives that set the bounds. Within one
 /// drive, the share `kept` of that variation is constant. The theta before the alarm therefore predicts the healthy theta after it.
 ///
-/// Candidate causes: gain and sign change the first part of theta, bias the third. The other parts stay within the remaining spread.
-/// Delays are tried in steps of `stride` blocks, to both sides; each delay predicts all four parts. A delay uses yhat before and after
-/// a settled block, whether or not yhat was settled there. A frozen output does not move while yhat does. Noise is visible within
-/// blocks.
+/// Candidate causes: gain and sign change the first part of theta, bias the third. The other parts stay within the remaining spread. Delays
+/// are tried in steps of `stride` blocks, to both sides; each delay predicts all four parts. A delay uses yhat before and after a settled
+/// block, whether or not yhat was settled there. A frozen output does not move while yhat does. Noise is visible within blocks.
 ///
 /// The named cause meets three conditions. It explains theta and the residue. Its interval excludes "no change". It explains better
 /// than every other cause by `margin`. Otherwise the result is "other": two causes at once, a dead zone, a saturated tyre, or

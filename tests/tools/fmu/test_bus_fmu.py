@@ -7,15 +7,15 @@ from pathlib import Path
 import fmpy
 import numpy as np
 import pytest
-from bus_master import Node, exchange, frames, operations, transmit
 from fmpy.fmi1 import FMICallException
 from fmpy.validation import validate_fmu
 from lxml import etree
-from plain_fmu import Running, compile_sources
 
+from bus_master import Node, exchange, frames, operations, transmit
 from lpvguard.core.compiled import SUPERVISION, VERDICTS, shipped_vehicle
 from lpvguard.extras.fmu.package import ecu_fmu, plant_fmu
 from lpvguard.extras.loop.sim import Simulator, load_scenario
+from plain_fmu import Running, compile_sources
 
 pytestmark = pytest.mark.slow("60 s: scenarios frame by frame under fmpy")
 SCENARIOS = ("yaw_sign", "dead_yaw_sensor", "brake_gain_40", "lossy_bus", "corrupted_command", "load_plus_40")
