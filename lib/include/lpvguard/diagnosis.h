@@ -32,14 +32,14 @@
 
 LPVG_EXTERN_C_BEGIN
 
-#define LPVG_DIAGNOSIS_PARTS 4     ///< parts of theta
-#define LPVG_DIAGNOSIS_TRIANGLE 10 ///< entries of a symmetric matrix of that size, upper triangle row by row
-#define LPVG_DIAGNOSIS_DELAYS 6    ///< number of tried delays; the same number of leads is tried
-#define LPVG_DIAGNOSIS_STRIDE 4    ///< largest number of blocks between two tried delays
+#define LPVG_DIAGNOSIS_PARTS 4  ///< parts of theta
+#define LPVG_DIAGNOSIS_TRIANGLE 10  ///< entries of a symmetric matrix of that size, upper triangle row by row
+#define LPVG_DIAGNOSIS_DELAYS 6  ///< number of tried delays; the same number of leads is tried
+#define LPVG_DIAGNOSIS_STRIDE 4  ///< largest number of blocks between two tried delays
 #define LPVG_DIAGNOSIS_HISTORY \
     ((2 * LPVG_DIAGNOSIS_DELAYS * LPVG_DIAGNOSIS_STRIDE) + 1)  ///< blocks from the longest lead to the longest delay
 #define LPVG_DIAGNOSIS_ERRORS ((LPVG_DIAGNOSIS_DELAYS * LPVG_DIAGNOSIS_STRIDE) + 2)  ///< blocks of errors that a tried delay needs
-#define LPVG_DIAGNOSIS_CELLS 24    ///< number of kept cells before an alarm
+#define LPVG_DIAGNOSIS_CELLS 24  ///< number of kept cells before an alarm
 
 #define lpvg_diagnosis_table LPVG_SYM(diagnosis_table)
 #define lpvg_past_t LPVG_SYM(past_t)
