@@ -21,7 +21,7 @@ import numpy
 import scipy
 
 ROOT = Path(__file__).resolve().parents[1]
-SOURCES = ("tools/src", "lib", "firmware_sim", "tests/made.py", "tests/conftest.py")
+SOURCES = ("tools/src", "lib", "firmware_sim", "tests/made.py", "tests/any_vehicle.py", "tests/conftest.py")
 
 
 def digest_of(folder: Path) -> str:

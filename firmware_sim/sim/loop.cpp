@@ -120,14 +120,14 @@ void Loop::print(std::FILE* out, std::uint64_t seed) {
     std::fprintf(out, "{\"seed\": %" PRIu64 ", \"duration_s\": %.9g, \"threshold\": %.9g, \"verdict_final\": %d,\n", seed,
                  static_cast<double>(ticks_ * tick_us) * 1e-6, static_cast<double>(lpvg_coeff.reals.threshold),
                  verdicts_.list().back().value);
-    std::fprintf(out, " \"tracking_rms\": %.9g, \"command_rms\": %.9g, ", std::sqrt(error_squares_ / n),
-                 std::sqrt(wanted_squares_ / n));
+    std::fprintf(out, " \"tracking_rms\": %.9g, \"command_rms\": %.9g, ", std::sqrt(error_squares_ / n), std::sqrt(wanted_squares_ / n));
     for (std::size_t i = 0; i < LPVG_NU; ++i) {
         std::fprintf(out, "%s%.9g", i == 0 ? "\"demand_max\": [" : ", ", demand_max_[i]);
     }
     std::fprintf(out, "],\n");
     if (ecu_.inside() != nullptr) {
-        std::fprintf(out, " \"limited_s\": %.9g,\n", static_cast<double>(ecu_.inside()->control.limited) * static_cast<double>(tick_us) * 1e-6);
+        std::fprintf(out, " \"limited_s\": %.9g,\n",
+                     static_cast<double>(ecu_.inside()->control.limited) * static_cast<double>(tick_us) * 1e-6);
     }
     std::fprintf(out, " \"frames\": %" PRIu64 ", \"frames_hash\": \"%016" PRIx64 "\", \"real_time_factor\": %.4g,\n", watcher_.count(),
                  watcher_.hash(), real_time_factor_);

@@ -108,7 +108,8 @@ int run(int argc, char** argv) {
     }
     const auto loop = std::make_unique<lpvguard_sim::Loop>(
         scenario.now(), parameters, *nodes.bus, *nodes.ecu,
-        lpvguard_sim::LoopEnds{log.get(), frames.get(), drive.get(), telemetry.get(), publisher.get(), control.get(), columns}, std::move(model), r);
+        lpvguard_sim::LoopEnds{log.get(), frames.get(), drive.get(), telemetry.get(), publisher.get(), control.get(), columns},
+        std::move(model), r);
     loop->run(pace);
     loop->print(stdout, scenario.now().seed);
     if (applied.get() != nullptr) {

@@ -24,6 +24,13 @@ struct Named {
     Value value;
 };
 
+/// Largest rms and amplitude of the command: of the truck's yaw rate, or of any output of a vehicle on its own bus.
+#ifdef LPVG_REST_H
+constexpr double rms_max = 1e3, amplitude_max = 1e3;
+#else
+constexpr double rms_max = 0.2, amplitude_max = 0.5;
+#endif
+
 /// Messages to the controller.
 std::vector<Named<std::uint32_t>> message_names() {
 #ifdef LPVG_REST_H
@@ -112,7 +119,7 @@ std::vector<std::pair<double, double>> read_knots(const toml::table& table, cons
         const double time_s = number(*pair->get(0), file, key);
         const double yaw_rate_radps = number(*pair->get(1), file, key);
         require_in_range(file, key + " time", time_s, knots.empty() ? 0.0 : knots.back().first + 1e-3, 1e6);
-        require_in_range(file, key + " yaw rate", yaw_rate_radps, -0.5, 0.5);
+        require_in_range(file, key + " yaw rate", yaw_rate_radps, -amplitude_max, amplitude_max);
         knots.emplace_back(time_s, yaw_rate_radps);
     }
     return knots;
@@ -126,7 +133,7 @@ CommandSettings read_command(const toml::table& table, const std::string& file) 
         case CommandSettings::Kind::zero: require_known_keys(table, file, "command.", {"kind"}); break;
         case CommandSettings::Kind::multisine: {
             require_known_keys(table, file, "command.", {"kind", "rms_radps", "low_radps", "high_radps", "spacing"});
-            command.rms_radps = reader.required("rms_radps", 0.0, 0.2);
+            command.rms_radps = reader.required("rms_radps", 0.0, rms_max);
             command.low_radps = reader.required("low_radps", 0.001, 50.0);
             command.high_radps = reader.required("high_radps", command.low_radps, 50.0);
             command.linear_spacing = reader.choice("spacing", spacings);
@@ -134,7 +141,7 @@ CommandSettings read_command(const toml::table& table, const std::string& file) 
         }
         case CommandSettings::Kind::steps:
             require_known_keys(table, file, "command.", {"kind", "amplitude_radps", "period_s"});
-            command.amplitude_radps = reader.required("amplitude_radps", 0.0, 0.5);
+            command.amplitude_radps = reader.required("amplitude_radps", 0.0, amplitude_max);
             command.period_s = reader.required("period_s", 0.1, 1e6);
             break;
         case CommandSettings::Kind::profile:

@@ -4,7 +4,7 @@
 ///     duration_s = 120.0
 ///     seed = 1                         # of road, noise, command and bus faults; --seed replaces it
 ///     [plant]                          # speed profile, variation, faults: lpvguard_plant/scenario.hpp
-///     [command]                        # yaw-rate command
+///     [command]                        # yaw-rate command; on a car's own bus in the unit of the controlled output
 ///     kind = "multisine"               # multisine, steps, profile or zero
 ///     rms_radps = 0.05                 # multisine
 ///     low_radps = 0.5                  # multisine: sines of random phase between these frequencies, with the rms above,

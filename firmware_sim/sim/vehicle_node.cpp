@@ -187,12 +187,9 @@ void VehicleNode::receive(std::int64_t now_us) {
             require(lpvg_can_guard_out_unpack(&out, &frame));
             const auto byte = [](std::uint16_t raw) { return static_cast<std::uint8_t>(raw); };
             const float margin = decoded(lpvg_can_guard_out_monitor_margin, out.monitor_margin);
-            report_ = {static_cast<float>(demand_[0]),
-                       margin,
-                       byte(out.monitor_verdict),
-                       byte(out.supervision_state),
-                       byte(out.engagement),
-                       byte(out.command_authentication)};
+            report_ = {static_cast<float>(demand_[0]), margin,
+                       byte(out.monitor_verdict),      byte(out.supervision_state),
+                       byte(out.engagement),           byte(out.command_authentication)};
         } else if ((frame.id & 0x00FFFF00U) == 0x00FECA00U) {  // DM1: one frame, one code (lpvg_can_dm1_pack)
             trouble_.spn = frame.data[2] + 256U * frame.data[3] + 65536U * (frame.data[4] >> 5U);
             trouble_.fmi = frame.data[4] & 0x1FU;

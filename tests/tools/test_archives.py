@@ -18,6 +18,7 @@ def contents_of_wheel(source: Path, folder: Path) -> set[str]:
     words = [sys.executable, "-m", "pip", "wheel", "-q", "--no-deps", "--no-build-isolation", "-w", folder]
     subprocess.run([*words, source], check=True)
     (wheel,) = folder.glob("*.whl")
+    assert wheel.stat().st_size < 25e6
     with zipfile.ZipFile(wheel) as archive:
         return set(archive.namelist())
 

@@ -18,8 +18,6 @@ LPVG_EXTERN_C_BEGIN
 #define lpvg_bus_take LPVG_SYM(bus_take)
 #define lpvg_bus_pack_report LPVG_SYM(bus_pack_report)
 
-#define LPVG_BUS_NEEDED_MAX LPVG_CAN_RULES_MAX
-
 #define LPVG_BUS_REQUEST_RELEASE 0U      ///< Request of the vehicle: release the actuator.
 #define LPVG_BUS_REQUEST_CONTROL 1U      ///< Request of the vehicle: control.
 #define LPVG_BUS_REQUEST_ACKNOWLEDGE 2U  ///< Request of the vehicle: release, and end a lock (ecu.h).
@@ -63,7 +61,7 @@ typedef struct lpvg_bus_t {
     uint32_t authenticator_id;     ///< identifier and flags of its authenticator (authentication.h)
     uint16_t command_data_id;      ///< data id of the command message's end-to-end protection
     uint8_t n_needed;
-    lpvg_bus_need_t needed[LPVG_BUS_NEEDED_MAX];
+    lpvg_bus_need_t needed[LPVG_CAN_RULES_MAX];
 } lpvg_bus_t;
 
 extern const lpvg_bus_t lpvg_bus;

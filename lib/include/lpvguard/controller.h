@@ -7,9 +7,8 @@
 ///
 /// m = (reference, outputs y in the order of the vehicle's signal table).
 ///
-/// Realisation: the zeros depend on the speed, the poles do not. Each demand has LPVG_NK states with the same poles: pairs (h, t),
-/// and one single state when LPVG_NK is odd. Let a = A1[2p] and a' = A1[2p + 1]. Let b and b' be the pair's rows of B and L times
-/// (m, u - v). Then
+/// Realisation: the zeros depend on the speed, the poles do not. Each demand has LPVG_NK states with the same poles: pairs (h, t), and one
+/// single state when LPVG_NK is odd. Let a = A1[2p] and a' = A1[2p + 1]. Let b and b' be the pair's rows of B and L times (m, u - v). Then
 ///
 ///     h+ = h + a h + t + b       t+ = t + a' h + b'       demand: sum of all h       single: h+ = h + a h + b
 ///

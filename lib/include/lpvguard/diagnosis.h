@@ -7,10 +7,9 @@
 /// The theta of a healthy vehicle varies between drives, with the covariance `spread` of the drives that set the bounds. Within one
 /// drive, the share `kept` of that variation is constant. The theta before the alarm therefore predicts the healthy theta after it.
 ///
-/// Candidate causes: gain and sign change the first part of theta, bias the third. The other parts stay within the remaining spread.
-/// Delays are tried in steps of `stride` blocks, to both sides; each delay predicts all four parts. A delay uses yhat before and after
-/// a settled block, whether or not yhat was settled there. A frozen output does not move while yhat does. Noise is visible within
-/// blocks.
+/// Candidate causes: gain and sign change the first part of theta, bias the third. The other parts stay within the remaining spread. Delays
+/// are tried in steps of `stride` blocks, to both sides; each delay predicts all four parts. A delay uses yhat before and after a settled
+/// block, whether or not yhat was settled there. A frozen output does not move while yhat does. Noise is visible within blocks.
 ///
 /// The named cause meets three conditions. It explains theta and the residue. Its interval excludes "no change". It explains better
 /// than every other cause by `margin`. Otherwise the result is "other": two causes at once, a dead zone, a saturated tyre, or
@@ -33,14 +32,14 @@
 
 LPVG_EXTERN_C_BEGIN
 
-#define LPVG_DIAGNOSIS_PARTS 4     ///< parts of theta
-#define LPVG_DIAGNOSIS_TRIANGLE 10 ///< entries of a symmetric matrix of that size, upper triangle row by row
-#define LPVG_DIAGNOSIS_DELAYS 6    ///< number of tried delays; the same number of leads is tried
-#define LPVG_DIAGNOSIS_STRIDE 4    ///< largest number of blocks between two tried delays
+#define LPVG_DIAGNOSIS_PARTS 4  ///< parts of theta
+#define LPVG_DIAGNOSIS_TRIANGLE 10  ///< entries of a symmetric matrix of that size, upper triangle row by row
+#define LPVG_DIAGNOSIS_DELAYS 6  ///< number of tried delays; the same number of leads is tried
+#define LPVG_DIAGNOSIS_STRIDE 4  ///< largest number of blocks between two tried delays
 #define LPVG_DIAGNOSIS_HISTORY \
     ((2 * LPVG_DIAGNOSIS_DELAYS * LPVG_DIAGNOSIS_STRIDE) + 1)  ///< blocks from the longest lead to the longest delay
 #define LPVG_DIAGNOSIS_ERRORS ((LPVG_DIAGNOSIS_DELAYS * LPVG_DIAGNOSIS_STRIDE) + 2)  ///< blocks of errors that a tried delay needs
-#define LPVG_DIAGNOSIS_CELLS 24    ///< number of kept cells before an alarm
+#define LPVG_DIAGNOSIS_CELLS 24  ///< number of kept cells before an alarm
 
 #define lpvg_diagnosis_table LPVG_SYM(diagnosis_table)
 #define lpvg_past_t LPVG_SYM(past_t)

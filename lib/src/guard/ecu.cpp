@@ -22,7 +22,7 @@ constexpr uint32_t period_longest_us = LPVG_ECU_WINDOW_US / 4U;  // two steps ma
 static_assert(n_all < UINT32_MAX / period_longest_us, "their product is a number of 32 bits");
 constexpr uint8_t priority_max = 3U;
 constexpr uint8_t occurrence_max = 126U;  // 127 says "unknown"
-static_assert(LPVG_J1939_CODES_MAX >= 8U + LPVG_BUS_NEEDED_MAX, "every finding and every message has a code; a verdict is one");
+static_assert(LPVG_J1939_CODES_MAX >= 8U + LPVG_CAN_RULES_MAX, "every finding and every message has a code; a verdict is one");
 
 // The limits are what lpvg_can_plausibility accepts: asked of it, on a sample that it leaves out.
 bool limits_good(const lpvg_can_plausibility_limits_t& limits) {
@@ -474,8 +474,7 @@ void run_down(lpvg_ecu_t& self, uint32_t step) {
     for (std::size_t i = 0; i < LPVG_NU; ++i) {
         const Real before = self.kept.demand[i], change = largest_change(self, i, step);
         const Real left = before < Real(0) ? before + change : before - change;
-        const bool arrived = !(left * before > Real(0));
-        self.kept.demand[i] = self.control.u[i] = arrived ? Real(0) : left;
+        self.kept.demand[i] = self.control.u[i] = left * before > Real(0) ? left : Real(0);
     }
     self.control.engaged = false;
     self.permitted = false;

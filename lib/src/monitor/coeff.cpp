@@ -10,8 +10,7 @@ namespace {
 bool frames_fit(const lpvg_coeff_words_t& w) {
     bool good = true;
     for (std::size_t b = 0; b < LPVG_NBINS; ++b) {
-        // A frame must be judged before the bin's next one ends. No frame is longer than DC's, whose length the verdict is
-        // held for.
+        // A frame must be judged before the bin's next one ends. No frame is longer than DC's, whose length the verdict is held for.
         good = good && w.frame_length[b] % 2U == 0U && w.frame_length[b] / 2U > LPVG_NLATENCY && w.frame_length[b] <= w.frame_length[0] &&
                w.cycles[b] < w.frame_length[b] / 2U;
     }

@@ -7,15 +7,15 @@ from pathlib import Path
 import fmpy
 import numpy as np
 import pytest
-from bus_master import Node, exchange, frames, operations, transmit
 from fmpy.fmi1 import FMICallException
 from fmpy.validation import validate_fmu
 from lxml import etree
-from plain_fmu import Running, compile_sources
 
+from bus_master import Node, exchange, frames, operations, transmit
 from lpvguard.core.compiled import SUPERVISION, VERDICTS, shipped_vehicle
-from lpvguard.extras.fmu.package import ecu_fmu, plant_fmu
+from lpvguard.extras.fmu.package import ecu_fmu, monitor_fmu, plant_fmu
 from lpvguard.extras.loop.sim import Simulator, load_scenario
+from plain_fmu import Running, compile_sources
 
 pytestmark = pytest.mark.slow("60 s: scenarios frame by frame under fmpy")
 SCENARIOS = ("yaw_sign", "dead_yaw_sensor", "brake_gain_40", "lossy_bus", "corrupted_command", "load_plus_40")
@@ -171,6 +171,12 @@ def test_what_an_importer_does_wrong_is_named(bus_fmus, tmp_path):
     assert "fixed once the initialisation has ended" in ecu.said[-1]
     with pytest.raises(Exception, match=r"instantiate|fmi3ExitInitializationMode"):
         Node(bus_fmus["plant"], tmp_path / "plant", scenario="title = 1")
+
+
+def test_an_fmu_without_a_terminal_is_named(g80, vehicle, tmp_path):
+    (tmp_path / "monitor.fmu").write_bytes(monitor_fmu(g80, vehicle, 3))
+    with pytest.raises(ValueError, match=r"no terminalsAndIcons\.xml; expected a CAN terminal"):
+        Node(tmp_path / "monitor.fmu", tmp_path / "monitor")
 
 
 @pytest.mark.parametrize("version", (2, 3))

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from fmpy.fmi1 import FMICallException
 from fmpy.validation import validate_fmu
-from plain_fmu import Running, compile_sources
 
 from lpvguard.core.compiled import CAUSES, VERDICTS
 from lpvguard.drives.tables import read_drive
 from lpvguard.extras.fmu.package import monitor_fmu
+from plain_fmu import Running, compile_sources
 
 pytestmark = pytest.mark.slow("6 s: the core is compiled and runs under fmpy")
 VERSIONS = (2, 3)

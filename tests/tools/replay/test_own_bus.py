@@ -13,10 +13,11 @@ import pytest
 
 from lpvguard.base import native
 from lpvguard.base.artefacts import write_files
-from lpvguard.base.errors import InputError
-from lpvguard.can.demand_code import demand_files
+from lpvguard.base.errors import InputError, InputWarning
+from lpvguard.can.demand_code import demand_files, enclosed, packing
 from lpvguard.can.logs import EXTENDED, Frames, read_log
-from lpvguard.can.own import demand_messages
+from lpvguard.can.own import demand_messages, own_bus, sensor_messages
+from lpvguard.can.own_loop import loop_files
 from lpvguard.can.play import values_of_drive, write_candump
 from lpvguard.core.coefficients import signal_table_markdown
 from lpvguard.core.compiled import VERDICTS, Core, library_root
@@ -509,6 +510,62 @@ def _rest(log: Frames) -> tuple:
 def test_what_cannot_be_is_refused_by_name(tmp_path, can, messages, says):
     with pytest.raises(InputError, match=says):
         Receiver(load_project(other(tmp_path, can, messages)))
+
+
+@pytest.mark.parametrize("name", [None, *LAYOUTS])
+def test_what_the_rest_of_the_bus_sends_comes_through_the_receiver(name, tmp_path):
+    """Sensor values packed by the generated C, for sums, signs, wide and multiplexed signals."""
+    car = load_project(other(tmp_path, LAYOUTS.get(name)))
+    signals = [car.speed, *car.inputs, *car.outputs]
+    sent = sensor_messages(car, own_bus(car, signals), signals)
+    header, source = packing("rest", sent, len(signals))
+    write_files(tmp_path, {"lpvg_rest.h": enclosed("rest", header), "lpvg_rest.c": _INCLUDES + source})
+    objects = [
+        native.compile_object(tmp_path / "lpvg_rest.c", flags=(), include_dirs=[library_root() / "include"])
+    ]
+    library = ctypes.CDLL(str(native.compile_shared(objects, flags=(), name="rest")))
+    t = PERIOD_S * np.arange(200)
+    columns = np.stack([15 + np.sin(t), 0.3 * np.sin(3 * t), 0.2 * np.cos(2 * t)], axis=1)
+    rows, counters = [], (ctypes.c_uint16 * len(sent))()
+    for k, values in enumerate(columns):
+        frames = (ctypes.c_uint8 * (16 * len(sent)))()
+        assert library.lpvg_rest_pack((ctypes.c_float * 3)(*values), counters, frames) == 0
+        for j, m in enumerate(s.message for s in sent):
+            if k % (m.ours.period_ms // 10) == 0:
+                rows.append((k, m.identifier, bytes(frames)[16 * j + 5 : 16 * j + 13]))
+    got = Receiver(car).receive(
+        Frames(
+            np.array([1_000_000_000 + k * 10_000_000 for k, _, _ in rows], np.int64),
+            np.array([i for _, i, _ in rows], np.uint32),
+            np.zeros(len(rows), np.uint8),
+            np.full(len(rows), 8, np.uint8),
+            np.frombuffer(b"".join(d for _, _, d in rows), np.uint8).reshape(-1, 8),
+            ["can0"],
+        ),
+        "log",
+    )
+    at = np.flatnonzero(got.present)
+    assert len(at) > 180
+    tolerance = {"more than 16 bits": (1e-5, 5e-5)}  # 2^-24 of the signal's range
+    angle, yaw = tolerance.get(name, (2e-5, 1e-4))
+    assert np.abs(got.values[at, 0] - columns[at - at % 2, 0]).max() < 0.002
+    assert np.abs(got.values[at, 1] - columns[at, 1]).max() < angle
+    assert np.abs(got.values[at, 2] - columns[at, 2]).max() < yaw
+
+
+_INCLUDES = '#include "lpvg_rest.h"\n#include <math.h>\n'
+
+
+def test_a_loop_that_a_frame_is_too_long_for_has_the_demands_alone(tmp_path):
+    (tmp_path / "car.dbc").write_text(
+        database(["hyundai_canfd", "subaru", "tesla"]).replace("HYUNDAI_CANFD: 8", "HYUNDAI_CANFD: 16")
+    )
+    car = project(["hyundai_canfd", "subaru", "tesla"])
+    place = CanPlace(message="SUBARU", signal="X", factor=2.0)
+    bus = car.can.model_copy(update={"dbc": str(tmp_path / "car.dbc"), "demand": {"x_subaru": place}})
+    with pytest.warns(InputWarning, match="no ECU code: message HYUNDAI_CANFD has 16 bytes"):
+        files = loop_files(car.model_copy(update={"can": bus}))
+    assert files.keys() == {"lpvg_demand.h", "lpvg_demand.c"}
 
 
 def test_a_message_without_a_cycle_time_asks_for_one(tmp_path):

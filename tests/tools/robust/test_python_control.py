@@ -32,13 +32,30 @@ def distillation():
     )
 
 
+@pytest.fixture(scope="module")
+def mixed_sensitivity():
+    """Example 2.17 of Skogestad and Postlethwaite (2005): S/KS with W_P1, level 1.37."""
+    G = control.ss(control.tf([200], np.polymul([10, 1], np.polymul([0.05, 1], [0.05, 1]))))
+    parts = [
+        control.ss(G, inputs="u", outputs="g", name="G"),
+        control.ss(control.tf([1 / 1.5, 10], [1, 1e-3]), inputs="e", outputs="z0", name="W_P"),
+        control.ss([], [], [], [[1.0]], inputs="u", outputs="z1", name="W_u"),
+        control.summing_junction(["w", "-g"], "e"),
+    ]
+    signals = {"inputs": ["w", "u"], "outputs": ["z0", "z1", "e"]}
+    return control.interconnect(parts, inplist=signals["inputs"], outlist=signals["outputs"], **signals)
+
+
 @pytest.mark.unhurried
-def test_the_level_of_hinfsyn_is_that_of_python_control_and_lies_between_its_own_bounds(distillation):
-    ours = robust.hinfsyn(distillation, 2, 2)
-    _, _, theirs, _ = control.hinfsyn(distillation, 2, 2)
-    assert ours.lower <= ours.level <= theirs * 1.0015
-    assert ours.lower <= theirs and ours.level == pytest.approx(theirs, rel=2e-3)
-    assert control.linfnorm(ours.CL)[0] <= ours.level * (1 + 1e-6)
+@pytest.mark.parametrize(("name", "n"), [("distillation", 2), ("mixed_sensitivity", 1)])
+def test_the_level_of_hinfsyn_is_that_of_python_control_and_lies_between_its_own_bounds(name, n, request):
+    P = request.getfixturevalue(name)
+    _, _, theirs, _ = control.hinfsyn(P, n, n)
+    for backoff in (1e-3, 1e-4):
+        ours = robust.hinfsyn(P, n, n, backoff)
+        assert ours.lower == pytest.approx(theirs, rel=1e-5)
+        assert theirs * (1 - 1e-5) <= ours.level <= theirs * (1 + backoff)
+        assert control.linfnorm(ours.CL)[0] <= ours.level * (1 + 1e-6)
 
 
 @pytest.mark.unhurried

@@ -1,12 +1,15 @@
 """A coarse angle with its digits in a signal beside it is read with both, at the rate of its frames."""
 
 import math
+import re
 
 import numpy as np
 import pytest
 
 from lpvguard.drives.ingest import ingest
+from lpvguard.drives.signal_map import map_of_project
 from lpvguard.start.new_project import new
+from lpvguard.vehicle.project import load_project
 from steered_car import write_logs
 
 DBC = """VERSION ""
@@ -70,3 +73,21 @@ def test_the_digits_beyond_an_angles_resolution_are_added(logs, tmp_path):
     assert (tmp_path / "again" / "d0.csv").read_bytes() == (
         tmp_path / "out" / "drives" / "d0.csv"
     ).read_bytes()
+
+
+def test_the_proposed_places_on_the_cars_own_bus_read_the_same_drives(logs, tmp_path):
+    dbc, paths = logs
+    new("mine", paths, tmp_path / "out", dbc=dbc, wheelbase_m=2.7)
+    text = (tmp_path / "out" / "mine.toml").read_text()
+    assert '# messages.STEER_ANGLE_SENSOR.checksum = "..."' in text and "hyundai_crc8" in text
+    assert "# demand.road_wheel_angle = {" in text
+    (tmp_path / "mine.toml").write_text(
+        re.sub(r"^# (can = |\[can\]|dbc = )", r"\1", text, flags=re.MULTILINE)
+    )
+    car = load_project(tmp_path / "mine.toml")
+    ingest(paths, dbc=dbc, signals_map=map_of_project(car), out=tmp_path / "again")
+    ours, theirs = (
+        np.loadtxt(tmp_path / folder / "d0.csv", delimiter=",", skiprows=1)
+        for folder in ("again", "out/drives")
+    )
+    assert ours == pytest.approx(theirs, abs=1e-6)

@@ -14,7 +14,9 @@ from .own_code import BANNER, frame_to_check
 from .protection import PROTECTIONS, check_source
 
 if TYPE_CHECKING:
-    from .own import Bits, CarSignal
+    from cantools.database.can import Signal as CarSignal
+
+    from .own import Bits
 
 DEMAND = "demand"
 

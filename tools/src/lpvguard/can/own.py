@@ -166,8 +166,8 @@ def own_bus(project: Project, signals: Sequence[Signal] | None = None) -> CarBus
     for s in needed:
         if s.can is not None:
             message, carried = ours[s.can.message]
-            names = (s.can.signal, *s.can.plus)
-            halves = [c.ours for n in names for c in carried if c.name == n]
+            summands = (s.can.signal, *s.can.plus)
+            halves = [c.ours for n in summands for c in carried if c.name == n]
             places[s.name] = (message, halves, s.can.factor)
     return CarBus(catalogue, messages, places)
 

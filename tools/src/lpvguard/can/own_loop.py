@@ -7,8 +7,8 @@ they have the vehicle's sample period. The command has the range of the controll
     lpvguard_bus.c, lpvg_can_codec.h, .c    the loop's signals, for the core
     lpvg_can_own.h, .c                      frames of the car to frames of the codec (own_code.py)
     lpvg_demand.h, .c                       demands to frames of the car (demand_code.py)
-    lpvg_rest.h, .c                         the rest of the bus, for simulations: sensors to frames of the car,
-                                            and frames with demands to values
+    lpvg_rest.h, .c                         the rest of the bus, for simulations: sensors to frames of the
+                                            car, and frames with demands to values
 
 There are limits. A frame has at most 8 bytes, and at most 7 messages carry speed and outputs. Beyond them,
 only the demands' code is made.
@@ -91,7 +91,7 @@ def _misfit(bus: CarBus, demands: list[Sent]) -> str | None:
 
 
 def _with_ours(project: Project, catalogue: Catalogue) -> Catalogue:
-    """Catalogue of the car's messages, with those of lpvguard's catalogue that command and report the loop."""
+    """Catalogue of the car's messages, and of ours that command and report the loop."""
     shipped, period_ms = load_catalogue(), max(1, round(project.Ts_s * 1000))
     controlled = project.outputs[project.controlled]
     scale = 2.0 ** math.ceil(math.log2(max(abs(controlled.min), abs(controlled.max)) / _MOST))
@@ -170,8 +170,8 @@ typedef struct lpvg_{REST}_message_t {{
 #define LPVG_{REST.upper()}_NAMES {len(sent)}u
 extern const lpvg_{REST}_message_t lpvg_{REST}_messages[LPVG_{REST.upper()}_NAMES];
 
-/* Takes the demands of a frame into u [{n_u}]. Returns bad_sample, changing nothing, when the frame has none, or
- * has a wrong length or checksum. */
+/* Takes the demands of a frame into u [{n_u}]. Returns bad_sample, changing nothing, when the frame has none,
+ * or has a wrong length or checksum. */
 LPVG_NODISCARD {taken};
 """
     rows = "".join(
@@ -205,4 +205,3 @@ def _take_demands(sent: Sent) -> str:
     lines += ["    " + line for line in (*declared, *assigned)]
     lines += [f"        if ({right} == 0) {{\n            return lpvg_status_bad_sample;\n        }}\n"]
     return "".join([*lines, *values, "        return lpvg_status_ok;\n    }\n"])
-

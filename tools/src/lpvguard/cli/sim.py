@@ -1,5 +1,6 @@
 """`lpvguard sim`: close the loop with the simulated truck or an FMU over CAN frames, or with members of a
-vehicle's identified set. Exit 1 when a run did not show what its scenario expects or its certificate proves."""
+vehicle's identified set. Exit 1 when a run did not show what its scenario expects or its certificate
+proves."""
 
 from __future__ import annotations
 
@@ -103,8 +104,8 @@ def sim(
     json_out: JsonOut = None,
 ) -> None:
     """Close the loop with the simulated truck over CAN frames. Exit 1 when a run did not show what its
-    scenario expects. A vehicle on its own bus needs --plant. With --members, close the compiled controller of any vehicle with members of its
-    identified set."""
+    scenario expects. A vehicle on its own bus needs --plant. With --members, close the compiled controller of
+    any vehicle with members of its identified set."""
     if members is not None:
         if scenarios or design is None or coefficients is None:
             expected = "--design, --coefficients and no scenario"

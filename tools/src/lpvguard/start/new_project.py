@@ -34,6 +34,7 @@ from ..vehicle.nominal import NominalModel
 from ..vehicle.physics import KindName, kind_of
 from ..vehicle.project import NAME, EvaluationSettings, Project, parse_project
 from .design_proposal import design_section, shown
+from .own_bus_text import with_own_bus
 from .readings import ROLES, Known
 from .redundant import Redundant, redundant
 from .signal_map_text import COLUMNS, Signals, comment, sign_bits_of, signal_map_text
@@ -150,7 +151,7 @@ def new(
         artefacts.write_files(
             folder,
             {
-                f"{name}.toml": text,
+                f"{name}.toml": text if dbc is None else with_own_bus(text, proposals, dbc),
                 "signals.toml": signals,
                 "drives/experiments.csv": index_text((n, s, names[n]) for n, s in splits.items()),
                 artefacts.MANIFEST: artefacts.manifest(

@@ -62,9 +62,9 @@ public:
         const lpvguard_plant::Sensors& s = truck_->plant.sensors();
         const lpvguard_plant::Truth& t = truck_->plant.truth();
         const double outputs[] = {
-            s.speed_mps,          s.yaw_rate_radps,         s.steering_wheel_rad,   s.lateral_acceleration_mps2, s.wheel_speed_mps[0],
-            s.wheel_speed_mps[1], s.wheel_speed_mps[2],     s.wheel_speed_mps[3],   s.brake_pressure_left_bar,   s.brake_pressure_right_bar,
-            t.speed_mps,          t.yaw_rate_radps,         t.lateral_velocity_mps, t.lateral_acceleration_mps2, t.roll_rad,
+            s.speed_mps,          s.yaw_rate_radps,      s.steering_wheel_rad,   s.lateral_acceleration_mps2, s.wheel_speed_mps[0],
+            s.wheel_speed_mps[1], s.wheel_speed_mps[2],  s.wheel_speed_mps[3],   s.brake_pressure_left_bar,   s.brake_pressure_right_bar,
+            t.speed_mps,          t.yaw_rate_radps,      t.lateral_velocity_mps, t.lateral_acceleration_mps2, t.roll_rad,
             t.road_wheel_rad,     *truck_->node.demand()};
         if (reference == vr_time) {
             value = now_s;

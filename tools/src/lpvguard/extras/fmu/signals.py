@@ -58,11 +58,11 @@ def own_signals_header(variables: Sequence[Variable]) -> str:
     """
     starts = ", ".join(f"{v.start:.17g}" for v in variables)
     n = len(variables)
+    names = [v.name.partition(".")[2] for v in variables]
     encoded = "".join(
-        f"    message.{variables[n - 3 + k].name.split('.')[1]} = "
-        f"lpvg_can_encode(&lpvg_can_guard_in_{variables[n - 3 + k].name.split('.')[1]}, "
-        f"static_cast<float>(in[{n - 3 + k}]));\n"
-        for k in range(3)
+        f"    message.{name} = lpvg_can_encode(&lpvg_can_guard_in_{name}, static_cast<float>(in[{k}]));\n"
+        for k, name in enumerate(names)
+        if name
     )
     body = (
         "    each_rest_frame(in, now_us, lpvg_coeff.words.sample_period_us, counters, put);\n"

@@ -20,6 +20,8 @@ ENUMERATIONS = {
     "fault": enum_names(_ECU_HEADER, "lpvg_ecu_fault_t"),
 }
 """Names of the core's enumerations, in the order of their numbers from 0."""
+REQUESTS = "0 release, 1 control, 2 acknowledge"
+PRIORITIES = "priority of the strongest other command on the actuators"
 TIME = 99
 """Value reference of the time."""
 
@@ -256,44 +258,21 @@ def plain_inputs(messages: Sequence[Message]) -> list[Variable]:
 
 
 def own_inputs(project: Project) -> list[Variable]:
-    """Return what the ECU of a vehicle on its own bus receives, as inputs with references from 0: speed and
-    outputs, and the signals of its command message."""
-    controlled = project.outputs[project.controlled]
-    plain = [_input(signal, k) for k, signal in enumerate([project.speed, *project.outputs])]
-    first = len(plain)
-    said = "acts without the terminal"
-    return [
-        *(replace(v, description=f"{v.description}; {said}") for v in plain),
-        Variable(
-            "GUARD_IN.reference",
-            f"command of {controlled.name}, positive: {controlled.positive}; {said}",
-            first,
-            "input",
-            "real",
-            controlled.unit,
-            0.0,
-            controlled.min,
-            controlled.max,
-        ),
-        Variable(
-            "GUARD_IN.control_request",
-            f"0 release, 1 control, 2 acknowledge; {said}",
-            first + 1,
-            "input",
-            start=0.0,
-            low=0.0,
-            high=2.0,
-        ),
-        Variable(
-            "GUARD_IN.other_priority",
-            f"of the strongest other command on the actuators, 0 to 3; {said}",
-            first + 2,
-            "input",
-            start=0.0,
-            low=0.0,
-            high=3.0,
-        ),
+    """Return what the ECU of a vehicle on its own bus receives: speed, outputs, and the command's signals.
+
+    The inputs have references from 0.
+    """
+    signals = [project.speed, *project.outputs]
+    controlled, n, said = project.outputs[project.controlled], len(signals), "; acts without the terminal"
+    command = f"command of {controlled.name}, positive: {controlled.positive}"
+    ends = (controlled.min, controlled.max)
+    plain = [
+        *(_input(signal, k) for k, signal in enumerate(signals)),
+        Variable("GUARD_IN.reference", command, n, "input", "real", controlled.unit, 0.0, *ends),
+        Variable("GUARD_IN.control_request", REQUESTS, n + 1, "input", start=0.0, low=0.0, high=2.0),
+        Variable("GUARD_IN.other_priority", PRIORITIES, n + 2, "input", start=0.0, low=0.0, high=3.0),
     ]
+    return [replace(v, description=v.description + said) for v in plain]
 
 
 def terminal_variables(period_s: float, *, after_reception: bool) -> list[Variable]:

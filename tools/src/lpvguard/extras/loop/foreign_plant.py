@@ -89,11 +89,12 @@ class ForeignPlant:
     def __init__(self, path: Path, plant_map: Path | None = None, project: Project | None = None):
         self.path, self._project = path, project
         self._Ts_s = TICK_S if project is None else project.Ts_s
-        self._inputs, self._outputs, self._demands = INPUTS, OUTPUTS, INPUTS[:1]
+        self._demands: tuple[str, ...] = INPUTS[:1]
+        self._outputs: tuple[str, ...] = OUTPUTS
         if project is not None:
             self._demands = tuple(s.name for s in project.inputs)
-            self._inputs = (*self._demands, INPUTS[-1])
             self._outputs = (project.speed.name, *(s.name for s in project.outputs))
+        self._inputs = (*self._demands, INPUTS[-1])
         try:
             with zipfile.ZipFile(path) as archive:
                 root = ElementTree.fromstring(archive.read("modelDescription.xml"))
