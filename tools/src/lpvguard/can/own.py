@@ -197,9 +197,9 @@ def refused_values(project: Project, values: Mapping[str, np.ndarray]) -> list[s
         outside = int(((on_bus < accepted.min - step) | (on_bus > accepted.max + step)).sum())
         if outside:
             sentences.append(
-                f"{name}: {outside} of {len(on_bus)} samples of the drives lie outside the database's range "
-                f"[{accepted.min:g}|{accepted.max:g}] of its signal in {message.title.split()[0]}; an ECU that is "
-                "generated from it refuses such frames"
+                f"{name}: {outside} of {len(on_bus)} samples of the drives lie outside the range of the "
+                f"database, [{accepted.min:g}|{accepted.max:g}] in {message.title.split()[0]}; an ECU that "
+                "is generated from it refuses such frames"
             )
     return sentences
 
