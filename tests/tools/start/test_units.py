@@ -4,7 +4,7 @@ import os
 import warnings
 from collections import Counter
 from dataclasses import replace
-from itertools import product
+from itertools import permutations, product
 from pathlib import Path
 
 import numpy as np
@@ -222,3 +222,24 @@ def test_a_name_states_its_unit_in_any_usual_spelling(role):
     for unit, names in SPELLINGS[role].items():
         for name in names:
             assert units_in_name(name, role)[:1] == ([unit] if unit else []), name
+
+
+@pytest.mark.long("40 s: 72 logs")
+def test_a_false_unit_of_the_speed_is_not_taken_in_silence(capsys):
+    """Headers that state another unit of the speed than the numbers have, at a steering wheel. A mile looks
+    like a kilometre where the ratio and the understeer make up for it; a lateral acceleration tells them."""
+    counts: Counter[str] = Counter()
+    for (car, ratio), speeds in product(CARS.values(), SPEEDS.values()):
+        logs = recordings(car, speeds)
+        for true, false in permutations(("m/s", "km/h", "mph"), 2):
+            read = in_units(logs, (true, "deg", "deg/s"), ratio)
+            units = dict(zip(read[0].values, (false, "deg", "deg/s"), strict=True))
+            try:
+                proposed([replace(r, units=units) for r in read], {}, Known(kind_of(car.L), car.L))
+                counts[f"{true} read as {false}"] += 1
+            except InputError:
+                counts["asked or refused"] += 1
+    with capsys.disabled():
+        print(f"\nof {counts.total()} false units:", counts)
+    assert set(counts) <= {"asked or refused", "km/h read as mph", "mph read as km/h"}, counts
+    assert counts["asked or refused"] >= 0.85 * counts.total()

@@ -342,8 +342,8 @@ class Calibration:
         ]
         if named:
             claims.append(
-                f"groups {', '.join(named)}: too few recordings for separate thresholds; they have the pooled "
-                "threshold without alpha"
+                f"groups {', '.join(named)}: too few recordings for separate thresholds; they have the "
+                "pooled threshold without alpha"
             )
         if self.group is not None:
             return claims[0]
