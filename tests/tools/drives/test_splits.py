@@ -5,7 +5,7 @@ from collections import Counter
 import numpy as np
 import pytest
 
-from lpvguard.drives.splits import day, groups_of, split_advice, split_words, splits_of
+from lpvguard.drives.splits import day, groups_of, split_advice, split_notes, splits_of
 
 
 def drives(count: int, prefix: str = "r") -> dict[str, np.ndarray]:
@@ -31,7 +31,10 @@ def test_each_day_and_each_surface_is_in_both_halves():
     said = (
         "6 drives set the bounds, 6 calibrate, parted by speed and day (2025-01-01, 2025-02-03) and surface"
     )
-    assert split_words(splits, {n: n for n in speeds}, days) == f"{said} (dry, wet)"
+    assert split_notes(splits, {n: n for n in speeds}, days) == [
+        f"{said} (dry, wet)",
+        "groups, each left out in turn: 2025-01-01, 2025-02-03",
+    ]
 
 
 def test_a_day_in_one_half_alone_gives_a_recording_of_about_its_speed():

@@ -16,7 +16,7 @@ from lpvguard.can.logs import read_log
 from lpvguard.drives.unit_names import units_in_name
 from lpvguard.drives.units import unit_factor
 from lpvguard.start.readings import ROLES, Known
-from lpvguard.start.signals import GUESSED_UNITS, Recording, proposed
+from lpvguard.start.signals import GUESSED_UNITS, Recording, proposed, ranked
 from lpvguard.vehicle.physics import kind_of
 from made import ROOT
 
@@ -243,3 +243,9 @@ def test_a_false_unit_of_the_speed_is_not_taken_in_silence(capsys):
         print(f"\nof {counts.total()} false units:", counts)
     assert set(counts) <= {"asked or refused", "km/h read as mph", "mph read as km/h"}, counts
     assert counts["asked or refused"] >= 0.85 * counts.total()
+
+
+def test_greek_letters_are_read_as_their_names():
+    names = ["δ [deg]", "ψ\u0307 [deg/s]", "ω_z", "v"]
+    assert ranked("input", names) == ["δ [deg]"]
+    assert set(ranked("output", names)) == {"ψ\u0307 [deg/s]", "ω_z"}

@@ -314,8 +314,8 @@ def _carried(
     for k, name in enumerate(names):
         signal = _car_signal(car, name, where)
         sign = _car_signal(car, signs[name], where) if name in signs else None
-        ours = f"s{k}_" + _word(name).lower()
-        signals += _carry(signal, sign, ours, start, f"{where}, {place}", name in both_signs)
+        carried_name = f"s{k}_" + _word(name).lower()
+        signals += _carry(signal, sign, carried_name, start, f"{where}, {place}", name in both_signs)
         start = signals[-1].ours.start + signals[-1].ours.length
     selector, selected = _multiplex(car, names, counter is not None, f"{where}, {place}")
     if start > _FRAME_BITS:

@@ -100,8 +100,8 @@ def splits_of(
     return {n: "train" if by[n] in setting else "valid" for n in names}
 
 
-def split_words(splits: Mapping[str, str], names: Mapping[str, str], days: Mapping[str, str]) -> str:
-    """Say which half is how large, and by what the recordings were parted.
+def split_notes(splits: Mapping[str, str], names: Mapping[str, str], days: Mapping[str, str]) -> list[str]:
+    """Say which half is how large, by what the recordings were parted, and which groups there are.
 
     Parameters
     ----------
@@ -111,11 +111,15 @@ def split_words(splits: Mapping[str, str], names: Mapping[str, str], days: Mappi
 
     Returns
     -------
-    str
+    list of str
     """
     setting = sum(split == "train" for split in splits.values())
-    parted = _parted_by(set(names.values()), days, named=True)
-    return f"{setting} drives set the bounds, {len(splits) - setting} calibrate, parted by {parted}"
+    recordings = sorted(set(names.values()))
+    parted = _parted_by(recordings, days, named=True)
+    notes = [f"{setting} drives set the bounds, {len(splits) - setting} calibrate, parted by {parted}"]
+    if groups := groups_of({r: days.get(r, "") for r in recordings}):
+        notes.append(f"groups, each left out in turn: {', '.join(sorted(set(groups.values())))}")
+    return notes
 
 
 def split_advice(

@@ -283,7 +283,7 @@ def index_text(rows: Iterable[tuple[str, ...]], *further: str) -> str:
     Parameters
     ----------
     rows : Iterable of (drive, split, and a text for each further column)
-    further : str, names of the further columns, default 'recording'
+    *further : str, names of the further columns, default 'recording'
 
     Returns
     -------

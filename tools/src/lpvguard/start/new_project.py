@@ -27,7 +27,7 @@ from ..drives.frames import Estimator
 from ..drives.ingest import Inputs, write_tables
 from ..drives.resample import REORDER_S, standing_alone
 from ..drives.signal_map import SignalMap
-from ..drives.splits import day, groups_of, split_words, splits_of
+from ..drives.splits import day, groups_of, split_notes, splits_of
 from ..drives.tables import Drive, index_text, read_drive
 from ..drives.unit_names import DIMENSIONS as SI
 from ..drives.units import unit_factor
@@ -146,16 +146,13 @@ def new(
             raise InputError("new", "LOG", f"no drive remains of the logs ({reason})", "logs of driving")
         project, text, notes = _project(name, model, taken, folder / "drives", list(names), Ts, known)
         splits = splits_of(_speeds(project, folder / "drives", names), names, days)
-        notes.append(split_words(splits, names, days))
-        groups = groups_of({r: days[r] for r in dict.fromkeys(names.values())})
-        if groups:
-            notes.append(f"groups, each left out in turn: {', '.join(dict.fromkeys(groups.values()))}")
+        notes += split_notes(splits, names, days)
         artefacts.write_files(
             folder,
             {
                 f"{name}.toml": text,
                 "signals.toml": signals,
-                "drives/experiments.csv": _index(splits, names, groups),
+                "drives/experiments.csv": _index(splits, names, days),
                 artefacts.MANIFEST: artefacts.manifest(
                     "new", vehicle=name, inputs={p.name: artefacts.file_hash(p) for p in logs}
                 ),
@@ -164,8 +161,9 @@ def new(
     return NewProject(project, proposals, measurements, splits, left_out, notes)
 
 
-def _index(splits: dict[str, str], names: dict[str, str], groups: dict[str, str]) -> str:
+def _index(splits: dict[str, str], names: dict[str, str], days: dict[str, str]) -> str:
     """Text of experiments.csv, with a column of groups where there are any."""
+    groups = groups_of({r: days[r] for r in names.values()})
     rows = [(n, split, names[n]) for n, split in splits.items()]
     if not groups:
         return index_text(rows)

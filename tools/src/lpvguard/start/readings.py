@@ -92,8 +92,8 @@ class Known:
 
 @dataclass(frozen=True)
 class Lateral:
-    """A lateral acceleration of the log: its name, its size over that of speed times yaw rate in the units of
-    the columns, and the units [m/s^2] that it may be in."""
+    """A lateral acceleration of the log. ``slope`` is its size over that of speed times yaw rate, in units of
+    the columns. ``units`` [m/s^2] are those that it may be in."""
 
     name: str
     slope: float

@@ -21,6 +21,7 @@ from .steady_turn import Driven, steady_turn
 from .words import (
     ACCELERATION,
     FRACTION,
+    GREEK,
     NEVER,
     NEVER_IN,
     NO_ANGLE,
@@ -98,7 +99,7 @@ def ranked(role: str, names: Iterable[str], units: Mapping[str, str] | None = No
     """Names that may have the role, the likeliest first; ``units``: those that are stated, by name."""
     scores = {}
     for name in names:
-        message, last = split_name(name)
+        message, last = split_name(name.translate(GREEK))
         low = re.sub(r"[\s/-]+", "_", last.lower())
         unit = (units or {}).get(name, "")
         if NO_MEASUREMENT.search(low) or re.search(NEVER[role], low):
@@ -192,7 +193,7 @@ def proposed(
 
 def _lateral(recordings: list[Recording], names: Mapping[str, str], common: list[str]) -> Lateral | None:
     """The lateral acceleration of the log that follows speed times yaw rate the best; None without one."""
-    found: list[tuple[float, Lateral]] = []
+    candidates: list[tuple[float, Lateral]] = []
     for name in called(ACCELERATION, common):
         if name in names.values():
             continue
@@ -210,10 +211,9 @@ def _lateral(recordings: list[Recording], names: Mapping[str, str], common: list
             stated = {u for r in recordings if (u := r.units.get(name, "").strip())}
             stated |= set(BRACKETS.findall(name))
             factors = [f for u in stated if (f := unit_factor(u, "m/s2"))] or [1.0, STANDARD_GRAVITY]
-            found.append(
-                (correlation, Lateral(name, float(np.sqrt(a @ a / (across @ across))), tuple(factors)))
-            )
-    return max(found, key=lambda pair: pair[0])[1] if found else None
+            slope = float(np.sqrt(a @ a / (across @ across)))
+            candidates.append((correlation, Lateral(name, slope, tuple(factors))))
+    return max(candidates, key=lambda pair: pair[0])[1] if candidates else None
 
 
 def _fine_parts(name: str, common: list[str], recordings: list[Recording]) -> tuple[str, ...]:
