@@ -5,6 +5,7 @@ import struct
 import zlib
 from pathlib import Path
 
+import h5py
 import numpy as np
 import pytest
 from scipy.io import savemat
@@ -141,3 +142,20 @@ def test_versions_that_are_no_matlab_5_are_left_to_scipy(tmp_path):
     for version, why in ((0x200, "HDF"), (0x900, "Unknown mat file type")):
         with pytest.raises(InputError, match=why):
             read_matlab(written(tmp_path / "a.mat", variable(), version=version))
+
+
+def test_a_file_of_version_7_3_is_read_by_h5py(tmp_path):
+    path, of_text = tmp_path / "a.mat", {"MATLAB_class": np.bytes_(b"char")}
+    with h5py.File(path, "w", userblock_size=512) as file:
+        for name in ("time", "log/speed", "bus/signals/values"):
+            file[name] = np.arange(30.0).reshape(1, 30)
+        file["note"] = np.array([[104], [105]], np.uint16)
+        file["note"].attrs.update(of_text)
+        file["#refs#/x"] = np.arange(3.0)
+        file["table"] = np.ones((3, 30))
+    with path.open("r+b") as file:
+        file.write(b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM")
+    assert read_matlab(path).column_names == ["bus", "log.speed", "time"]
+    path.write_bytes(path.read_bytes()[:2000])
+    with pytest.raises(InputError, match="cannot be parsed"):
+        read_matlab(path)

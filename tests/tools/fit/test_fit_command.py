@@ -111,3 +111,16 @@ def test_a_model_that_no_car_can_have_is_refused_unless_told(g80):
         with pytest.raises(InputError, match=says):
             require_plausible(strange, [strange])
         require_plausible(strange, [stated])  # the drives do not exclude a car
+
+
+def test_a_split_is_proposed_where_none_is_made_and_where_one_half_lacks_speeds(lpvguard, folder):
+    index = folder / "drives" / "experiments.csv"
+    fit = ("fit", "--vehicle", "g80", folder / "drives", "-o", folder / "fit")
+    made = index.read_text()
+    index.write_text(made.replace("train", "unassigned").replace("valid", "unassigned"))
+    done = lpvguard(*fit)
+    assert done.returncode == 2 and "by speed: at_6, at_14 train, at_10 valid" in done.stderr
+    index.write_text(made.replace("at_14,train", "at_14,valid").replace("at_10,valid", "at_10,train"))
+    done = lpvguard(*fit)
+    said = "split: at_14 calibrate at higher speeds than all that set the bounds; by speed: at_6, at_14 train"
+    assert said in " ".join((done.stdout + done.stderr).split())

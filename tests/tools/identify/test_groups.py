@@ -50,6 +50,13 @@ def test_a_group_with_enough_recordings_has_its_own_threshold_and_the_others_the
     )
 
 
+def test_groups_that_are_too_small_share_a_sentence():
+    scores, _ = made_up()
+    groups = {d: d.rstrip("0123456789") + (d[-1] if d.startswith("snow") else "") for d in scores}
+    claim = calibrate(scores, 0.1, recordings=Recordings(groups=groups)).claim()
+    assert "groups snow1, snow2, snow3: too few recordings for separate thresholds" in claim
+
+
 def test_the_core_carries_the_largest_threshold_so_that_every_claim_holds():
     scores, recordings = made_up()
     calm = {d: s for d, s in scores.items() if not d.startswith("snow")}

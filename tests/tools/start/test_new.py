@@ -545,3 +545,23 @@ def test_the_rate_is_that_of_the_signals_and_not_of_the_table_they_are_merged_in
         log.write_text("\n".join([header, *(",".join(row) for row in merged)]) + "\n")
     made = new("mine", logs, tmp_path / "out", wheelbase_m=2.8)
     assert made.project.Ts_s == 0.04
+
+
+def test_a_single_log_of_one_drive_becomes_two_drives(tmp_path):
+    logs = write_logs(tmp_path, n=1)
+    new("mine", logs, tmp_path / "out", wheelbase_m=2.8)
+    listed = list_experiments(tmp_path / "out" / "drives")
+    assert [(e.name, e.split, e.recording) for e in listed] == [
+        ("log_0_1", "train", "log_0"),
+        ("log_0_2", "valid", "log_0"),
+    ]
+
+
+def test_days_and_drivers_of_the_logs_become_groups(tmp_path):
+    names = [f"2026-04-2{2 + k // 2}_{k}_driver_Kim.csv" for k in range(4)]
+    for log, name in zip(write_logs(tmp_path, n=4), names, strict=True):
+        log.rename(tmp_path / name)
+    made = new("mine", [tmp_path / name for name in names], tmp_path / "out", wheelbase_m=2.8)
+    groups = [e.group for e in list_experiments(tmp_path / "out" / "drives")]
+    assert groups == ["2026-04-22 Kim", "2026-04-22 Kim", "2026-04-23 Kim", "2026-04-23 Kim"]
+    assert made.notes[-1] == "groups, each left out in turn: 2026-04-22 Kim, 2026-04-23 Kim"

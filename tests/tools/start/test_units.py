@@ -3,7 +3,8 @@
 import os
 import warnings
 from collections import Counter
-from itertools import product
+from dataclasses import replace
+from itertools import permutations, product
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +16,7 @@ from lpvguard.can.logs import read_log
 from lpvguard.drives.unit_names import units_in_name
 from lpvguard.drives.units import unit_factor
 from lpvguard.start.readings import ROLES, Known
-from lpvguard.start.signals import GUESSED_UNITS, Recording, proposed
+from lpvguard.start.signals import GUESSED_UNITS, Recording, proposed, ranked
 from lpvguard.vehicle.physics import kind_of
 from made import ROOT
 
@@ -112,15 +113,41 @@ def test_a_measured_minute_in_five_systems_of_units_is_read_right_or_asked_about
     assert set(said) <= {"right", "asked"}, said
 
 
-def test_a_stated_unit_that_makes_an_unusual_ratio_is_doubted():
-    """A speed in m/s that is said to be in mph looks like another ratio, and is not taken in silence."""
-    logs = in_units(recordings(CARS["saloon"][0], SPEEDS["country"]), ("m/s", "deg", "deg/s"), 20.0)
+def test_a_stated_unit_that_makes_an_unusual_car_is_asked_about():
+    """A speed in m/s that a header says to be in mph looks like another ratio: not taken in silence."""
+    (log,) = in_units(recordings(CARS["saloon"][0], SPEEDS["country"])[:1], ("m/s", "deg", "deg/s"), 20.0)
     stated = {"speed": "mph", "input": "deg", "output": "deg/s"}
-    with pytest.warns(InputWarning, match=r"a steering ratio of [\d.]+:1 is unusual for a car"):
-        proposed(logs, {}, Known("car", 2.8), stated)
+    units = dict(zip(log.values, stated.values(), strict=True))
+    known = Known("car", 2.8)
+    with pytest.raises(InputError, match=r"unusual car: speed in mph.*more likely: speed in m/s"):
+        proposed([replace(log, units=units)], {}, known)
+    with pytest.warns(InputWarning, match="the stated units make an unusual car"):
+        proposed([log], {}, known, stated)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        proposed(logs, {}, Known("car", 2.8), stated | {"speed": "m/s"})
+        proposed([log], {}, known, stated | {"speed": "m/s"})
+        proposed([log], {}, replace(known, ratio=20.0 / 1.6), stated)
+
+
+def test_a_lateral_acceleration_tells_the_unit_of_the_speed():
+    """Miles and kilometres an hour look alike; one of them times the yaw rate is the acceleration."""
+    logs = recordings(CARS["small"][0], SPEEDS["country"])
+    random = np.random.default_rng(3)
+    for unit in ("km/h", "mph"):
+        known, units = Known("car", 2.4), (unit, "deg", "deg/s")
+        assert outcome(in_units(logs, units, 14.0), units, 14.0, known) == "asked"
+        with_ay = [
+            replace(
+                r,
+                values=r.values
+                | {"ay": s.values["speed"] * s.values["yaw_rate"] + random.normal(0, 0.1, len(r.t))},
+            )
+            for r, s in zip(in_units(logs, units, 14.0), logs, strict=True)
+        ]
+        assert outcome(with_ay, units, 14.0, known) == "right"
+    false = [replace(r, units={"speed": "km/h"}) for r in with_ay]
+    with pytest.raises(InputError, match=r"ay is [\d.]+ times speed times yaw rate"):
+        proposed(false, {}, known)
 
 
 def test_going_backwards_with_a_speed_without_sign_turns_no_sign():
@@ -195,3 +222,30 @@ def test_a_name_states_its_unit_in_any_usual_spelling(role):
     for unit, names in SPELLINGS[role].items():
         for name in names:
             assert units_in_name(name, role)[:1] == ([unit] if unit else []), name
+
+
+@pytest.mark.long("40 s: 72 logs")
+def test_a_false_unit_of_the_speed_is_not_taken_in_silence(capsys):
+    """Headers that state another unit of the speed than the numbers have, at a steering wheel. A mile looks
+    like a kilometre where the ratio and the understeer make up for it; a lateral acceleration tells them."""
+    counts: Counter[str] = Counter()
+    for (car, ratio), speeds in product(CARS.values(), SPEEDS.values()):
+        logs = recordings(car, speeds)
+        for true, false in permutations(("m/s", "km/h", "mph"), 2):
+            read = in_units(logs, (true, "deg", "deg/s"), ratio)
+            units = dict(zip(read[0].values, (false, "deg", "deg/s"), strict=True))
+            try:
+                proposed([replace(r, units=units) for r in read], {}, Known(kind_of(car.L), car.L))
+                counts[f"{true} read as {false}"] += 1
+            except InputError:
+                counts["asked or refused"] += 1
+    with capsys.disabled():
+        print(f"\nof {counts.total()} false units:", counts)
+    assert set(counts) <= {"asked or refused", "km/h read as mph", "mph read as km/h"}, counts
+    assert counts["asked or refused"] >= 0.85 * counts.total()
+
+
+def test_greek_letters_are_read_as_their_names():
+    names = ["δ [deg]", "ψ\u0307 [deg/s]", "ω_z", "v"]
+    assert ranked("input", names) == ["δ [deg]"]
+    assert set(ranked("output", names)) == {"ψ\u0307 [deg/s]", "ω_z"}

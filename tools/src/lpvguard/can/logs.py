@@ -34,6 +34,7 @@ from .log_types import Table as Table
 from .matlab import read_matlab
 from .mf4 import read_mf4
 from .packed import PACKED, names_inside, suffix_inside, unpacked, unpacked_folder
+from .sheets import SHEET_SUFFIXES, read_sheet
 from .sign_bits import sign_columns
 from .topics import joined, topic_files
 from .trc import read_trc
@@ -49,7 +50,7 @@ _MAT_SUFFIX = ".mat"
 _MDF_SUFFIXES = {".mf4", ".mdf", ".dat"}
 _VBO_SUFFIX = ".vbo"
 _JSON_SUFFIXES = {".json", ".jsonl", ".ndjson"}
-_TEXT_SUFFIXES = {".csv", ".tsv", ".txt", _VBO_SUFFIX, *_JSON_SUFFIXES}
+_TEXT_SUFFIXES = {".csv", ".tsv", ".txt", _VBO_SUFFIX, *_JSON_SUFFIXES, *SHEET_SUFFIXES}
 _FOREIGN_SUFFIXES = {".bag", ".mcap", ".ulg", ".bin", ".tlog", ".db3"}
 _SUFFIXES = {
     *PACKED,
@@ -132,8 +133,8 @@ def read_log(
             path,
             "",
             f"unknown kind of log {suffix or '(no suffix)'}",
-            ".log (candump), .asc, .blf, .trc, .mf4, .csv, .tsv, .txt, .vbo, .jsonl, .parquet or .mat; text "
-            "also with .gz, .bz2, .xz, .zst, or alone in a .zip",
+            ".log (candump), .asc, .blf, .trc, .mf4, .csv, .tsv, .txt, .vbo, .jsonl, .xlsx, .parquet, .mat; "
+            "text also with .gz, .bz2, .xz, .zst, or alone in a .zip",
         )
     if isinstance(log, Frames) and len(log) == 0:
         raise InputError(path, "", "holds no data frame" + _in_words(log.left_out), "at least one frame")
@@ -507,7 +508,12 @@ def _of_text(path: Path, suffix: str, time_column: str | None, rate_hz: float | 
     from .text_tables import read_text_table, with_numbers
     from .vbo import read_vbo
 
-    reader = {_VBO_SUFFIX: read_vbo, **dict.fromkeys(_JSON_SUFFIXES, read_json)}.get(suffix, read_text_table)
+    readers = {
+        _VBO_SUFFIX: read_vbo,
+        **dict.fromkeys(_JSON_SUFFIXES, read_json),
+        **dict.fromkeys(SHEET_SUFFIXES, read_sheet),
+    }
+    reader = readers.get(suffix, read_text_table)
     read = reader(unpacked(path), path)
     if is_raw(read.table.column_names):
         return raw_frames(read, path)

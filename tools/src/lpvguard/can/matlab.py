@@ -1,5 +1,6 @@
-"""Read tables from MATLAB files of `save -v7`: each vector of numbers is a column, also in structures.
+"""Read tables from MATLAB files: each vector of numbers is a column, also in structures.
 
+h5py reads files of version 7.3, which are HDF5 (extra ``lpvguard[sources]``).
 scipy reads files of version 4. In those of version 5 a damaged number makes it read foreign memory, because
 it indexes its table of types; this module reads them itself.
 """
@@ -30,6 +31,8 @@ _OF_SIMULINK = ".signals.values"
 _COMPLEX = 0x800
 _DESCRIBED = 4096
 """Number of bytes at the start of a compressed variable that hold its description."""
+_HDF5, _USER_BLOCK = b"\x89HDF\r\n\x1a\n", 1024
+"""Signature of HDF5, and the number of bytes in which it begins."""
 _DENSEST = 1032
 """Largest number of bytes that zlib unpacks from one byte."""
 
@@ -48,15 +51,22 @@ def read_matlab(path: Path) -> pa.Table:
     Raises
     ------
     InputError
-        If the vectors' lengths differ, if a vector is damaged, or if the file is an HDF5 file of version 7.3.
+        If the vectors' lengths differ, a vector is damaged, or h5py is missing.
     """
     try:
         content = path.read_bytes()
-        variables = _vectors(content)
+        variables = _of_hdf5(path) if _HDF5 in content[:_USER_BLOCK] else _vectors(content)
         if variables is None:
             variables = loadmat(io.BytesIO(content), squeeze_me=True)
     except MemoryError:
         raise
+    except ImportError as error:
+        raise InputError(
+            path,
+            "",
+            f"version 7.3 needs the package {error.name}",
+            "pip install 'lpvguard[sources]', or save -v7",
+        ) from None
     except Exception as error:  # scipy has no exception class for a broken file
         raise InputError(path, "", f"cannot be parsed ({type(error).__name__}: {error})", EXPECTED) from None
     columns = {n: v for n, v in variables.items() if getattr(v, "ndim", 0) == 1 and v.dtype.kind in "fiu"}
@@ -67,6 +77,24 @@ def read_matlab(path: Path) -> pa.Table:
         raise InputError(path, "", f"variables of different lengths ({lengths})", EXPECTED)
     # A MATLAB file has the byte order of its writer; Arrow needs the native byte order.
     return pa.table({n: v.astype(v.dtype.newbyteorder("=")) for n, v in columns.items()})
+
+
+def _of_hdf5(path: Path) -> dict[str, np.ndarray]:
+    """Vectors of numbers by name in a file of version 7.3, without texts and MATLAB's own groups."""
+    import h5py
+
+    vectors: dict[str, np.ndarray] = {}
+
+    def take(name: str, item: h5py.Dataset | h5py.Group) -> None:
+        if not isinstance(item, h5py.Dataset) or name.startswith("#") or item.dtype.kind not in "fiu":
+            return
+        is_text = item.attrs.get("MATLAB_class") in (b"char", "char") or "MATLAB_empty" in item.attrs
+        if not is_text and len([n for n in item.shape if n != 1]) == 1:
+            vectors[name.replace("/", ".").removesuffix(_OF_SIMULINK)] = item[()].ravel()
+
+    with h5py.File(path, "r") as file:
+        file.visititems(take)
+    return vectors
 
 
 def _vectors(content: bytes) -> dict[str, np.ndarray] | None:

@@ -199,9 +199,9 @@ def refused_values(project: Project, values: Mapping[str, np.ndarray]) -> list[s
         outside = int(((on_bus < accepted.min - step) | (on_bus > accepted.max + step)).sum())
         if outside:
             sentences.append(
-                f"{name}: {outside} of {len(on_bus)} samples of the drives lie outside the database's range "
-                f"[{accepted.min:g}|{accepted.max:g}] of its signal in {message.title.split()[0]}; an ECU that is "
-                "generated from it refuses such frames"
+                f"{name}: {outside} of {len(on_bus)} samples of the drives lie outside the range of the "
+                f"database, [{accepted.min:g}|{accepted.max:g}] in {message.title.split()[0]}; an ECU that "
+                "is generated from it refuses such frames"
             )
     return sentences
 
@@ -342,8 +342,8 @@ def _carried(
     for k, name in enumerate(names):
         signal = _car_signal(car, name, where)
         sign = _car_signal(car, signs[name], where) if name in signs else None
-        ours = f"s{k}_" + _word(name).lower()
-        signals += _carry(signal, sign, ours, start, f"{where}, {place}", name in both_signs)
+        carried_name = f"s{k}_" + _word(name).lower()
+        signals += _carry(signal, sign, carried_name, start, f"{where}, {place}", name in both_signs)
         start = signals[-1].ours.start + signals[-1].ours.length
     selector, selected = _multiplex(car, names, counter is not None, f"{where}, {place}")
     if start > _FRAME_BITS:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .shared import JsonOut, Out, Vehicle, app, console, emit, progress_bar, project_of, warn_of_ranges
+from .shared import JsonOut, Out, Vehicle, app, console, emit, progress_bar, project_of
 from .tables import print_fit
 
 if TYPE_CHECKING:
@@ -35,8 +35,7 @@ def fit(
     from ..fit.fitted_model import save
     from ..fit.project_file import text_of
 
-    project = project_of(vehicle)
-    warn_of_ranges(project, drives)
+    project = project_of(vehicle, drives)
     with progress_bar("fit") as tell:
         result = stage(project, drives, tell, accept_unusual)
         save(result, text_of(vehicle), vehicle, out, {"measured.svg": _picture(result)})

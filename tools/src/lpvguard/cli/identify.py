@@ -19,7 +19,6 @@ from .shared import (
     keeping,
     progress_bar,
     project_of,
-    warn_of_ranges,
 )
 from .tables import print_evidence, print_tests
 
@@ -40,8 +39,7 @@ def identify(
     from ..identify.deciders import decides_bounds, decides_thresholds, outlying, silence, unresolved
     from ..identify.unexplained import cost, unexplained
 
-    project = project_of(vehicle)
-    warn_of_ranges(project, drives)
+    project = project_of(vehicle, drives)
     with progress_bar("identify") as tell, workers(jobs, scheduler) as started, keeping(keep, started) as run:
         result, drive_set = stage.identify(project, drives, workers=run, progress=tell)
         stage.save(result, drive_set, out)

@@ -123,11 +123,17 @@ def keeping(folder: Path | None, workers: Map) -> Iterator[Map]:
     kept.drop_unused()
 
 
-def project_of(vehicle: str) -> Project:
-    """Load the project of a shipped vehicle or of a project file. InputError if there is neither."""
+def project_of(vehicle: str, drives: Path | None = None) -> Project:
+    """Load the project of a shipped vehicle or of a project file. InputError if there is neither.
+
+    ``drives``: folder of drives against which the ranges of the own bus are checked.
+    """
     from ..vehicle.project import load_project
 
-    return load_project(vehicle)
+    project = load_project(vehicle)
+    if drives is not None:
+        warn_of_ranges(project, drives)
+    return project
 
 
 def warn_of_ranges(project: Project, folder: Path | None = None) -> None:

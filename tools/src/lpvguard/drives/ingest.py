@@ -333,7 +333,7 @@ def _write_piece(piece: Piece, path: Path) -> None:
         pa_csv.write_csv(table, path, pa_csv.WriteOptions(quoting_style="none"))
 
 
-def write_tables(path: Path, inputs: Inputs, folder: Path) -> dict:
+def write_tables(path: Path, inputs: Inputs, folder: Path, halved: bool = False) -> dict:
     """Write the drive tables and the report of one log into an existing folder.
 
     Parameters
@@ -341,6 +341,7 @@ def write_tables(path: Path, inputs: Inputs, folder: Path) -> dict:
     path : Path
     inputs : Inputs
     folder : Path
+    halved : bool, a log of one drive becomes two drives, default False
 
     Returns
     -------
@@ -352,6 +353,8 @@ def write_tables(path: Path, inputs: Inputs, folder: Path) -> dict:
         If nothing of the log remains.
     """
     pieces, report = _ingest_one(path, inputs)
+    if halved and len(pieces) == 1:
+        pieces = _halves(pieces[0])
     report["drives"] = []
     for k, piece in enumerate(pieces, start=1):
         file = stem(path) + (f"_{k}" if len(pieces) > 1 else "") + f".{inputs.map.format}"
@@ -367,6 +370,16 @@ def write_tables(path: Path, inputs: Inputs, folder: Path) -> dict:
         )
     artefacts.write_files(folder, {f"{stem(path)}.report.json": artefacts.to_json(report)})
     return report
+
+
+def _halves(piece: Piece) -> list[Piece]:
+    """The first and the second half of a drive."""
+    middle = len(piece.t) // 2
+    later = piece.log_start_s + float(piece.t[middle] - piece.t[0])
+    return [
+        Piece(piece.t[part], {n: x[part] for n, x in piece.values.items()}, start)
+        for part, start in ((slice(middle), piece.log_start_s), (slice(middle, None), later))
+    ]
 
 
 def ingest(

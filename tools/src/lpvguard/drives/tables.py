@@ -277,20 +277,22 @@ def _in_use(row: dict[str, str], index: Path, line: int) -> bool:
     return use == "yes"
 
 
-def index_text(rows: Iterable[tuple[str, str, str]], third: str = "recording") -> str:
+def index_text(rows: Iterable[tuple[str, ...]], *further: str) -> str:
     """Write an experiments.csv.
 
     Parameters
     ----------
-    rows : Iterable of (drive, split, third)
-    third : str, name of the third column, default 'recording'
+    rows : Iterable of (drive, split, and a text for each further column)
+    *further : str, names of the further columns, default 'recording'
 
     Returns
     -------
     str
     """
     text = io.StringIO()
-    csv.writer(text, lineterminator="\n").writerows([("experiment", "split", third), *rows])
+    csv.writer(text, lineterminator="\n").writerows(
+        [("experiment", "split", *(further or ("recording",))), *rows]
+    )
     return text.getvalue()
 
 

@@ -91,7 +91,8 @@ _QUALIFIERS = frozenset(
     )
 )
 """Words behind a unit that say nothing of it."""
-_BRACKETS = re.compile(r"[\[({<]([^\])}>]*)[\])}>]")
+BRACKETS = re.compile(r"[\[({<]([^\])}>]*)[\])}>]")
+"""In names: a text in brackets, often a unit."""
 _IN = re.compile(r"[\s_,/](?:in|unit|einheit)[\s_:]+([^\s_].*)$", re.IGNORECASE)
 _SEPARATOR = re.compile(
     r"[.:\\](?=\w)|/(?!(?:s|sec|second|sek|sekunde|min|minute|h|hr|std|dt|ms|g|\d+)(?![a-z]))", re.IGNORECASE
@@ -164,7 +165,7 @@ def split_name(name: str) -> tuple[str, str]:
     (('/imu', 'rate_z'), ('ESP:', 'Yaw [0.1 deg/s]'), ('', 'steering_angle'))
     """
     name = _MEMBER.sub("", name)
-    bare = _BRACKETS.sub(lambda match: "\0" * len(match[0]), name)
+    bare = BRACKETS.sub(lambda match: "\0" * len(match[0]), name)
     at = max((match.start() for match in _SEPARATOR.finditer(bare)), default=-1)
     return name[: max(at, 0)], name[at + 1 :]
 
@@ -253,8 +254,8 @@ def units_in_name(name: str, role: str) -> list[str]:
     ([], ['deg'])
     """
     units: list[str] = []
-    plain = _BRACKETS.sub(" ", name)
-    texts = [*_BRACKETS.findall(name)]
+    plain = BRACKETS.sub(" ", name)
+    texts = [*BRACKETS.findall(name)]
     if spelled := _IN.search(plain):
         texts.append(spelled[1])
     if "/" in plain and (slashed := re.search(r"[\s_]([^\s_]+/[^\s_/]+)$", plain)):
@@ -286,7 +287,7 @@ def without_unit(name: str, role: str) -> str:
     >>> without_unit("v_mph", "speed"), without_unit("r [deg/s]", "output")
     ('v', 'r')
     """
-    plain = _BRACKETS.sub(" ", name)
+    plain = BRACKETS.sub(" ", name)
     spelled = _IN.search(plain)
     words = tokens(plain[: spelled.start()] if spelled else plain)
     return "_".join(words[: _ending(words, role)[0]])

@@ -20,7 +20,17 @@ import numpy as np
 
 from ..base import artefacts
 from ..base.errors import InputError
-from ..drives.tables import Drive, Experiment, bound_setting, list_experiments, read_drive, set_aside
+from ..drives.splits import proposal_words, split_advice, splits_of
+from ..drives.tables import (
+    EXPERIMENTS,
+    Drive,
+    Experiment,
+    bound_setting,
+    day_of,
+    list_experiments,
+    read_drive,
+    set_aside,
+)
 from ..vehicle.nominal import NominalModel
 from ..vehicle.project import Project
 from .damaged_drives import require_unspoiled
@@ -51,7 +61,7 @@ class FittedModel:
     left_out : dict[str, str], reason by drive
     findings : list of str, sentences
     differences : list of str, parameters that differ between drives or days
-    outlook : str, what the recordings that calibrate allow
+    outlook : str, what the recordings that calibrate allow, and a better split
     sha256 : dict[str, str], hash by drive
     """
 
@@ -134,6 +144,7 @@ def fit(
     Ljung, System Identification, 2nd ed., 7.5 and 10.2.
     """
     experiments = list_experiments(Path(folder))
+    _require_split(project, experiments, Path(folder))
     setting = {e.name for e in bound_setting(project, experiments, Path(folder))}
     skipped = {e.name for e in experiments if e.split in project.data.noise_split}
     progress("reading")
@@ -171,9 +182,50 @@ def fit(
         set_aside(Path(folder)) | {name: str(error) for name, error in screen.faults.items()},
         [*map(str, [*screen.faults.values(), *beside.values()]), *_findings(estimate, of_fitted)],
         differences(runner, estimate, {e.name: e.group for e in experiments if e.group}),
-        outlook(len({e.recording for e in experiments if e.name not in setting | skipped})),
+        "; ".join(
+            [
+                outlook(len({e.recording for e in experiments if e.name not in setting | skipped})),
+                *_advice(experiments, setting, drives),
+            ]
+        ),
         {e.name: artefacts.file_hash(e.path) for e in experiments},
     )
+
+
+def _require_split(project: Project, experiments: list[Experiment], folder: Path) -> None:
+    """Raise InputError with a proposal where no drive sets the bounds, as after `ingest`."""
+    if any(e.split in project.data.bound_split for e in experiments):
+        return
+    drives, _ = _read(project, experiments)
+    speeds, groups = _by_recording(experiments, drives)
+    proposed = proposal_words(splits_of(speeds, {r: r for r in speeds}, groups), groups)
+    raise InputError(
+        folder / EXPERIMENTS,
+        "column split",
+        f"no drive has split {' or '.join(project.data.bound_split)}",
+        f"some that set the bounds and some that calibrate; {proposed}",
+    )
+
+
+def _advice(experiments: list[Experiment], setting: set[str], drives: list[Drive]) -> list[str]:
+    """A sentence where one half of the recordings lacks a speed, a group or day, or a surface."""
+    speeds, groups = _by_recording(experiments, drives)
+    halves = {e.recording: e.name in setting for e in experiments if e.recording in speeds}
+    advice = split_advice(halves, speeds, groups)
+    return [f"split: {advice}"] if advice else []
+
+
+def _by_recording(
+    experiments: list[Experiment], drives: list[Drive]
+) -> tuple[dict[str, np.ndarray], dict[str, str]]:
+    """Speed (N,) of each recording, and its group or day."""
+    v = {d.name: d.v for d in drives}
+    read = [e for e in experiments if e.name in v]
+    speeds = {
+        r: np.concatenate([v[e.name][np.isfinite(v[e.name])] for e in read if e.recording == r])
+        for r in dict.fromkeys(e.recording for e in read)
+    }
+    return speeds, {e.recording: e.group or day_of(e.recording) for e in read}
 
 
 def _doubtful(estimate: Estimate) -> list[Project]:

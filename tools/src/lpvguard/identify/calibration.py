@@ -333,13 +333,22 @@ class Calibration:
         """Claim about the false alarms at this threshold, in words."""
         if not self.groups:
             return self._pooled_claim()
-        claims = "; ".join(
+        small = [] if self.group else [n for n, g in self.groups.items() if g.threshold is None]
+        named = small if len(small) > 1 else []
+        claims = [
             g.words(name) + self._hourly(self.recordings.in_group(self.scores, name), g)
             for name, g in self.groups.items()
-        )
+            if name not in named
+        ]
+        if named:
+            claims.append(
+                f"groups {', '.join(named)}: too few recordings for separate thresholds; they have the "
+                "pooled threshold without alpha"
+            )
         if self.group is not None:
-            return claims
-        return f"pooled: {self._pooled_claim()}; {claims}; the core has the largest, {self.carried:.4g}"
+            return claims[0]
+        claims = [f"pooled: {self._pooled_claim()}", *claims]
+        return f"{'; '.join(claims)}; the core has the largest, {self.carried:.4g}"
 
     def _pooled_claim(self) -> str:
         if self.extrapolation is not None:

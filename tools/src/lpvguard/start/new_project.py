@@ -27,6 +27,7 @@ from ..drives.frames import Estimator
 from ..drives.ingest import Inputs, write_tables
 from ..drives.resample import REORDER_S, standing_alone
 from ..drives.signal_map import SignalMap
+from ..drives.splits import day, groups_of, split_notes, splits_of
 from ..drives.tables import Drive, index_text, read_drive
 from ..drives.unit_names import DIMENSIONS as SI
 from ..drives.units import unit_factor
@@ -39,7 +40,6 @@ from .readings import ROLES, Known
 from .redundant import Redundant, redundant
 from .signal_map_text import COLUMNS, Signals, comment, sign_bits_of, signal_map_text
 from .signals import Proposal, Recording, proposed
-from .splits import day, split_words, splits_of
 from .steady_turn import Driven, steady_turn
 from .templates import TEMPLATES, VEHICLE_PARAMETERS, Scale
 
@@ -147,19 +147,28 @@ def new(
             raise InputError("new", "LOG", f"no drive remains of the logs ({reason})", "logs of driving")
         project, text, notes = _project(name, model, taken, folder / "drives", list(names), Ts, known)
         splits = splits_of(_speeds(project, folder / "drives", names), names, days)
-        notes.append(split_words(splits, names, days))
+        notes += split_notes(splits, names, days)
         artefacts.write_files(
             folder,
             {
                 f"{name}.toml": text if dbc is None else with_own_bus(text, proposals, dbc),
                 "signals.toml": signals,
-                "drives/experiments.csv": index_text((n, s, names[n]) for n, s in splits.items()),
+                "drives/experiments.csv": _index(splits, names, days),
                 artefacts.MANIFEST: artefacts.manifest(
                     "new", vehicle=name, inputs={p.name: artefacts.file_hash(p) for p in logs}
                 ),
             },
         )
     return NewProject(project, proposals, measurements, splits, left_out, notes)
+
+
+def _index(splits: dict[str, str], names: dict[str, str], days: dict[str, str]) -> str:
+    """Text of experiments.csv, with a column of groups where there are any."""
+    groups = groups_of({r: days[r] for r in names.values()})
+    rows = [(n, split, names[n]) for n, split in splits.items()]
+    if not groups:
+        return index_text(rows)
+    return index_text(((*row, groups[row[2]]) for row in rows), "recording", "group")
 
 
 def _require_sound(name: str, model: str, wheelbase_m: float | None) -> None:
@@ -181,13 +190,15 @@ def _written(
 ) -> tuple[dict[str, str], dict[str, str]]:
     """Write the drives of all logs; recording by drive, and day by recording, "" where nothing tells it.
 
+    A single log of one drive becomes two drives: one sets the bounds, one calibrates.
+
     ``left_out`` gets what could not be written.
     """
     names: dict[str, str] = {}
     days: dict[str, str] = {}
     for path in logs:
         try:
-            report = write_tables(path, inputs, folder)
+            report = write_tables(path, inputs, folder, halved=len(logs) == 1)
         except InputError as error:
             left_out[stem(path)] = str(error)
             continue

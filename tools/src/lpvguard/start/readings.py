@@ -6,7 +6,7 @@ that fits is taken; where two do, the user is asked for the option that settles 
 
 import shlex
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 
@@ -30,8 +30,22 @@ LEAST_ANGLE_RAD = 0.01
 """If 99 % of a log stay below both, nobody steered, or degrees would be read as radians."""
 FULL_LOCK_RAD = (0.3, 0.7)
 """Full lock of road wheels."""
-USUAL_RATIOS = (11.0, 22.0)
-"""Steering ratios of most cars; a wrong unit of the speed often makes another one."""
+USUAL_UNITS = {"speed": ("m/s", "km/h", "mph", "kn"), "input": ("rad", "deg"), "output": ("rad/s", "deg/s")}
+"""Units with which one that a log states is compared."""
+TYPICAL = {"car": (15.5, 2.5), "truck": (20.0, 1.5)}
+"""By kind: usual steering ratio, and largest lateral acceleration [m/s^2] of a log."""
+SPREAD_OF_RATIOS, SPREAD_OF_LENGTHS, SPREAD_OF_LATERAL, SPREAD_OF_SPEEDS = 0.15, 0.1, 0.6, 0.7
+"""Standard deviations of logarithms. The length is the one that the columns read, over the known one."""
+USUAL_SPEED_MPS, USUAL_UNDERSTEER = 15.0, (2.5, 1.7)
+"""Largest speed of a log; mean and standard deviation of the understeer [deg/g]."""
+KNOTS = 2.0
+"""The same logarithm for knots in place of another unit: few loggers of cars have them."""
+DOUBTED = 2.0
+"""Logarithm of the likelihood ratio from which another reading casts doubt on a stated unit."""
+ACCELERATION_WITHIN = 1.35
+"""A lateral acceleration is speed times yaw rate within this factor; the body's roll adds a tenth."""
+SHORT_S = 10.0
+"""A shorter log may hold no driving."""
 LEAST_EXPLAINED = 0.3
 """Columns that explain less of the yaw rate say nothing of their units."""
 
@@ -40,7 +54,8 @@ LEAST_EXPLAINED = 0.3
 class UnitReading:
     """Units by role, and steering wheel over road wheel, which is 1 at the road wheels.
 
-    ``beyond`` says as a logarithm how far outside of physics the columns then are, ``why`` in words."""
+    ``beyond`` says as a logarithm how far outside of physics the columns then are, ``why`` in words.
+    ``atypical`` is the negative logarithm of its likelihood among vehicles and logs of its kind."""
 
     units: Mapping[str, str]
     ratio: float
@@ -49,6 +64,7 @@ class UnitReading:
     lateral_mps2: float
     beyond: float
     why: tuple[str, ...]
+    atypical: float = 0.0
     share: float | None = None
     """Full lock [rad] of a steering without a unit, of which it is a share."""
 
@@ -74,28 +90,40 @@ class Known:
     """Whether the steering's name says that it is the steering wheel's; None where it does not."""
 
 
-def decided(
-    turn: SteadyTurn | None, drives: Sequence[Driven], choices: Mapping[str, Sequence[str]], known: Known
-) -> tuple[UnitReading, list[str]]:
-    """The one reading that fits, and its evidence in sentences. InputError where none fits, or more than one.
+@dataclass(frozen=True)
+class Lateral:
+    """A lateral acceleration of the log. ``slope`` is its size over that of speed times yaw rate, in units of
+    the columns. ``units`` [m/s^2] are those that it may be in."""
 
-    ``choices``: role -> units that are possible.
+    name: str
+    slope: float
+    units: tuple[float, ...]
+
+
+def decided(
+    turn: SteadyTurn | None,
+    drives: Sequence[Driven],
+    choices: Mapping[str, Sequence[str]],
+    known: Known,
+    certain: Collection[str] = ROLES,
+    lateral: Lateral | None = None,
+) -> tuple[UnitReading, list[str]]:
+    """The one reading that fits, and its evidence in sentences. InputError where none fits, or more than one,
+    or where another one is much likelier than the stated one.
+
+    ``choices``: role -> units that are possible; ``certain``: roles whose unit the user states.
     """
     if turn is None or not np.isfinite(turn.length).all():
-        raise InputError(
-            "new", "", "speed, steering and yaw rate do not move", "logs with driving and steering"
-        )
+        longest = max(float(d.t[-1] - d.t[0]) for d in drives)
+        what = "speed, steering and yaw rate do not move"
+        if longest < SHORT_S:
+            what = f"the longest log lasts {longest:.3g} s"
+        raise InputError("new", "LOG", what, f"logs of {SHORT_S:g} s and more, with driving and steering")
     largest = _largest(drives)
     stated = all(len(choices[role]) == 1 for role in ROLES)
     within = STATED_WITHIN if stated else KNOWN_WITHIN[known.kind]
-    candidates = sorted(
-        (
-            _reading(turn, largest, dict(zip(ROLES, units, strict=True)), wheel, known, within)
-            for units in product(*(choices[role] for role in ROLES))
-            for wheel in _wheels(known)
-        ),
-        key=lambda reading: reading.beyond,
-    )
+    measured = _Measured(turn, largest, known, within, lateral)
+    candidates = _sorted(measured, choices, _wheels(known))
     if turn.explained < LEAST_EXPLAINED and not (stated and candidates[0].beyond == 0.0):
         raise InputError(
             "new",
@@ -104,7 +132,7 @@ def decided(
             "their units",
             "the columns of one vehicle on one clock, or " + ", ".join(_unit_options(choices)),
         )
-    shares = _shares(turn, largest, drives, choices, known, within)
+    shares = _shares(measured, drives, choices)
     near = [r for r in (*candidates, *shares) if r.beyond == 0.0]
     said = "; or ".join(r.words() for r in near[:3])
     if len(near) > 1 or any(r.share for r in near):
@@ -131,17 +159,58 @@ def decided(
             f"not given, and the steering is at a steering wheel: {best.words()}",
             "the wheelbase in m, or --steering-ratio",
         )
-    _doubt_unusual(best, known)
+    _require_usual(best, measured, choices, certain)
     return best, _evidence(turn, candidates, known)
 
 
-def _doubt_unusual(best: UnitReading, known: Known) -> None:
-    """Warn of a steering ratio that is read from the columns and that few cars have."""
-    is_read = best.ratio != 1.0 and known.ratio is None and known.kind == "car"
-    if is_read and not USUAL_RATIOS[0] <= best.ratio <= USUAL_RATIOS[1]:
-        what = f"a steering ratio of {best.ratio:.3g}:1 is unusual for a car: is it {best.words()}?"
-        settles = "a right unit, or --steering-ratio, settles it"
-        warnings.warn(f"{what} {settles}", InputWarning, stacklevel=1)
+@dataclass(frozen=True)
+class _Measured:
+    """What columns say, and what is known: ``largest`` speed, steering, and speed times yaw rate."""
+
+    turn: SteadyTurn
+    largest: tuple[float, float, float]
+    known: Known
+    within: float
+    lateral: Lateral | None
+
+
+def _sorted(
+    measured: _Measured, choices: Mapping[str, Sequence[str]], wheels: Sequence[bool]
+) -> list[UnitReading]:
+    """All readings, the nearest to physics first."""
+    readings = [
+        _reading(measured, dict(zip(ROLES, units, strict=True)), wheel)
+        for units in product(*(choices[role] for role in ROLES))
+        for wheel in wheels
+    ]
+    return sorted(readings, key=lambda reading: reading.beyond)
+
+
+def _require_usual(
+    best: UnitReading, measured: _Measured, choices: Mapping[str, Sequence[str]], certain: Collection[str]
+) -> None:
+    """Raise InputError where another unit than one that the log states, or another place of the steering than
+    its name says, makes a much likelier vehicle. What the user states is only warned of."""
+    known = measured.known
+    if known.kind not in TYPICAL or known.wheelbase_m is None:
+        return
+    units = {role: tuple(dict.fromkeys((*choices[role], *USUAL_UNITS[role]))) for role in ROLES}
+    anywhere = _wheels(replace(known, at_steering_wheel=None))
+    asked = {role: choices[role] if role in certain else units[role] for role in ROLES}
+    for others, wheels in (
+        (asked, _wheels(known) if "input" in certain else anywhere),
+        (units, anywhere),
+    ):
+        likely = [r for r in _sorted(measured, others, wheels) if r.beyond == 0.0]
+        other = min(likely, key=lambda r: r.atypical, default=best)
+        if other.atypical >= best.atypical - DOUBTED:
+            continue
+        what = f"the stated units make an unusual {known.kind}: {best.words()}; more likely: {other.words()}"
+        near = [best, other]
+        settles = " or ".join(_settles(r, near) for r in near)
+        if others is asked:
+            raise InputError("new", _differing(near), what, settles)
+        warnings.warn(f"{what}; {settles} says which", InputWarning, stacklevel=1)
 
 
 def _evidence(turn: SteadyTurn, candidates: Sequence[UnitReading], known: Known) -> list[str]:
@@ -156,14 +225,10 @@ def _evidence(turn: SteadyTurn, candidates: Sequence[UnitReading], known: Known)
 
 
 def _shares(
-    turn: SteadyTurn,
-    largest: tuple[float, float, float],
-    drives: Sequence[Driven],
-    choices: Mapping[str, Sequence[str]],
-    known: Known,
-    within: float,
+    measured: _Measured, drives: Sequence[Driven], choices: Mapping[str, Sequence[str]]
 ) -> list[UnitReading]:
     """Readings of a steering between -1 and 1 as a share of full lock, which follows from the wheelbase."""
+    known = measured.known
     steered = np.abs(np.concatenate([d.delta for d in drives]))
     if (
         len(choices["input"]) == 1
@@ -176,10 +241,10 @@ def _shares(
     readings = []
     for speed, output in product(choices["speed"], choices["output"]):
         a, c = (unit_factor(u, DIMENSIONS[r]) or 1.0 for u, r in ((speed, "speed"), (output, "output")))
-        lock = wheelbase * c / (abs(float(turn.length[0])) * a)
+        lock = wheelbase * c / (abs(float(measured.turn.length[0])) * a)
         if FULL_LOCK_RAD[0] <= lock <= FULL_LOCK_RAD[1]:
             units = {"speed": speed, "input": f"{lock:.2g} rad", "output": output}
-            readings.append(replace(_reading(turn, largest, units, False, known, within), share=lock))
+            readings.append(replace(_reading(measured, units, False), share=lock))
     return readings
 
 
@@ -228,18 +293,13 @@ def _magnitudes(d: Driven) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return np.abs(d.v), np.abs(turned), np.abs(d.v * yaw)
 
 
-def _reading(
-    turn: SteadyTurn,
-    largest: tuple[float, float, float],
-    units: dict[str, str],
-    wheel: bool,
-    known: Known,
-    within: float,
-) -> UnitReading:
+def _reading(measured: _Measured, units: dict[str, str], wheel: bool) -> UnitReading:
     """One combination of units; of the likely spreads the one with which it is the nearest to physics."""
+    turn, largest, known, within = measured.turn, measured.largest, measured.known, measured.within
     kind = KINDS[known.kind]
     a, b, c = (unit_factor(units[role], DIMENSIONS[role]) or 1.0 for role in ROLES)
     best: UnitReading | None = None
+    atypical = np.inf
     for length, spread in zip(np.abs(turn.length), turn.spread, strict=True):
         read = float(length) * a * b / c
         ratio, wheelbase = _steering(read, wheel, known, kind)
@@ -255,15 +315,50 @@ def _reading(
                 f"lateral accelerations of {lateral:.3g} m/s^2", lateral, 0.0, DOUBTFUL * kind.lateral_mps2
             ),
         ]
+        if measured.lateral is not None:
+            reasons.append(_unlike(measured.lateral, a * c))
         if angle < LEAST_ANGLE_RAD:
             least = LEAST_LATERAL_MPS2[known.kind]
             reasons.append(_beyond(f"lateral accelerations of {lateral:.1g} m/s^2", lateral, least, np.inf))
         beyond = sum(size for size, _ in reasons)
+        unlikely = _atypical(known, (ratio if wheel else None, read / ratio), understeer, lateral, speed)
         if best is None or beyond < best.beyond:
             why = tuple(text for size, text in reasons if size > 0)
             best = UnitReading(units, ratio, wheelbase, understeer, lateral, beyond, why)
+            atypical = unlikely
+        elif beyond == best.beyond:
+            atypical = min(atypical, unlikely)
     assert best is not None
-    return best
+    return replace(best, atypical=atypical + KNOTS * (units["speed"] == "kn"))
+
+
+def _atypical(
+    known: Known, steering: tuple[float | None, float], understeer: float, lateral: float, speed: float
+) -> float:
+    """The negative logarithm of the likelihood of a reading; 0 where nothing is known of the kind.
+
+    ``steering``: ratio, None at the road wheels, and wheelbase [m]. A ratio that is known says nothing.
+    """
+    if known.kind not in TYPICAL or known.wheelbase_m is None:
+        return 0.0
+    (ratio, wheelbase), (usual_ratio, usual_lateral) = steering, TYPICAL[known.kind]
+    away = [
+        np.log(max(lateral, 1e-9) / usual_lateral) / SPREAD_OF_LATERAL,
+        np.log(max(speed, 1e-9) / USUAL_SPEED_MPS) / SPREAD_OF_SPEEDS,
+        (understeer - USUAL_UNDERSTEER[0]) / USUAL_UNDERSTEER[1],
+        np.log(wheelbase / known.wheelbase_m) / SPREAD_OF_LENGTHS,
+    ]
+    if ratio is not None and known.ratio is None:
+        away.append(np.log(ratio / usual_ratio) / SPREAD_OF_RATIOS)
+    return 0.5 * float(np.square(away).sum())
+
+
+def _unlike(lateral: Lateral, scale: float) -> tuple[float, str]:
+    """How far a lateral acceleration is from speed times yaw rate, which are ``scale`` times the columns'."""
+    sizes = [lateral.slope * unit / scale for unit in lateral.units]
+    size = min(sizes, key=lambda x: abs(np.log(x)))
+    beyond = max(abs(float(np.log(size))) - float(np.log(ACCELERATION_WITHIN)), 0.0)
+    return beyond, f"{lateral.name} is {size:.2g} times speed times yaw rate" if beyond else ""
 
 
 def _steering(read: float, wheel: bool, known: Known, kind: VehicleKind) -> tuple[float, float]:

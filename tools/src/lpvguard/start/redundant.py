@@ -12,11 +12,11 @@ from functools import partial
 
 import numpy as np
 
-from ..drives.unit_names import DIMENSIONS, tokens
+from ..drives.unit_names import DIMENSIONS
 from ..drives.units import unit_factor
 from ..vehicle.physics import STANDARD_GRAVITY
-from .signals import Proposal, Recording, ranked
-from .words import ACCELERATION, COURSE, NO_MEASUREMENT, REQUEST, SIDES
+from .signals import Proposal, Recording, called, ranked
+from .words import ACCELERATION, COURSE, NO_MEASUREMENT, SIDES
 
 BLOCK_S = 1.0
 """Signals are averaged over blocks of this length: a receiver lags, and a wheel's speed is coarse."""
@@ -148,7 +148,7 @@ def _wheels(names: list[str], blocks: list[_Blocks]) -> Scored:
 
 def _acceleration(names: list[str], blocks: list[_Blocks]) -> Scored:
     """Lateral accelerations: the speed times the yaw rate, and a part of gravity that stays."""
-    for name in _called(ACCELERATION, names):
+    for name in called(ACCELERATION, names):
         rows = _stacked(blocks, name)
         if rows is None:
             continue
@@ -170,7 +170,7 @@ def _acceleration(names: list[str], blocks: list[_Blocks]) -> Scored:
 def _course(names: list[str], blocks: list[_Blocks]) -> Scored:
     """Courses and headings, which jump by a turn: their change a second."""
     steady = [replace(b, recording=_rising(b.recording)) for b in blocks]
-    for name in _called(COURSE, names):
+    for name in called(COURSE, names):
         for unit, turn in (("deg", 360.0), ("rad", 2 * np.pi)):
             rows = _stacked(steady, name, partial(_turning, turn=turn))
             if rows is None:
@@ -207,14 +207,6 @@ def _is_copy(block: _Blocks, name: str) -> bool:
     """Return whether a signal's samples follow those of the yaw rate, but for the unit."""
     both = np.array([block.recording.values[n] for n in (name, block.yaw.name)])
     return abs(float(np.corrcoef(both[:, np.isfinite(both).all(axis=0)])[0, 1])) > SAME
-
-
-def _called(words: re.Pattern[str], names: Sequence[str]) -> Iterator[str]:
-    """Names that hold one of the words, and tell of a measurement."""
-    for name in names:
-        low = "_".join(tokens(name.rpartition(".")[2]))
-        if words.search(low) and not (NO_MEASUREMENT.search(low) or REQUEST.search(low)):
-            yield name
 
 
 def _pairs(names: Sequence[str]) -> Iterator[tuple[str, str]]:

@@ -5,7 +5,7 @@ is left open is decided by physics (`readings.py`), or asked.
 """
 
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
 
@@ -13,11 +13,15 @@ import numpy as np
 
 from ..base.errors import InputError
 from ..can.sign_bits import SIGN_BIT
-from ..drives.unit_names import split_name, tokens, unit_of_text, units_in_name, without_unit
-from .readings import ROLES, Known, decided
+from ..drives.unit_names import BRACKETS, split_name, tokens, unit_of_text, units_in_name, without_unit
+from ..drives.units import unit_factor
+from ..vehicle.physics import STANDARD_GRAVITY
+from .readings import ROLES, Known, Lateral, decided
 from .steady_turn import Driven, steady_turn
 from .words import (
+    ACCELERATION,
     FRACTION,
+    GREEK,
     NEVER,
     NEVER_IN,
     NO_ANGLE,
@@ -49,6 +53,8 @@ MOST_NAMES = 40
 """So many signals a message names."""
 FOLDS = 5
 """A signal that is never negative and comes back to 0 so often is a magnitude."""
+FOLLOWS, BLOCK_S = 0.9, 1.0
+"""Least correlation of a lateral acceleration with speed times yaw rate, averaged over blocks [s]."""
 LEAST_SAMPLES = 20
 """A recording with fewer samples of all three signals says nothing."""
 
@@ -81,11 +87,19 @@ class Proposal:
     plus: tuple[str, ...] = ()
 
 
+def called(words: re.Pattern[str], names: Iterable[str]) -> Iterator[str]:
+    """Names that hold one of the words, and tell of a measurement."""
+    for name in names:
+        low = "_".join(tokens(split_name(name)[1]))
+        if words.search(low) and not (NO_MEASUREMENT.search(low) or REQUEST.search(low)):
+            yield name
+
+
 def ranked(role: str, names: Iterable[str], units: Mapping[str, str] | None = None) -> list[str]:
     """Names that may have the role, the likeliest first; ``units``: those that are stated, by name."""
     scores = {}
     for name in names:
-        message, last = split_name(name)
+        message, last = split_name(name.translate(GREEK))
         low = re.sub(r"[\s/-]+", "_", last.lower())
         unit = (units or {}).get(name, "")
         if NO_MEASUREMENT.search(low) or re.search(NEVER[role], low):
@@ -161,7 +175,9 @@ def proposed(
         raise InputError("new", "--speed", f"{names['speed']} is not positive", "a speed, positive ahead")
     turn = steady_turn(drives)
     known = replace(known, at_steering_wheel=at_steering_wheel(names["input"]))
-    reading, unit_evidence = decided(turn, drives, choices, known)
+    certain = [role for role in ROLES if (units or {}).get(role) is not None]
+    lateral = _lateral(recordings, names, common)
+    reading, unit_evidence = decided(turn, drives, choices, known, certain, lateral)
     sign = -1.0 if turn is not None and turn.length[0] < 0 else 1.0
     why["input"].append(
         f"in a turn it and {names['output']} have "
@@ -173,6 +189,31 @@ def proposed(
         role: Proposal(role, names[role], reading.units[role], factors[role], why[role], fine[role])
         for role in ROLES
     }
+
+
+def _lateral(recordings: list[Recording], names: Mapping[str, str], common: list[str]) -> Lateral | None:
+    """The lateral acceleration of the log that follows speed times yaw rate the best; None without one."""
+    candidates: list[tuple[float, Lateral]] = []
+    for name in called(ACCELERATION, common):
+        if name in names.values():
+            continue
+        parts = []
+        for r in recordings:
+            rows = max(1, round(BLOCK_S / float(np.median(np.diff(r.t)))))
+            columns = np.array([r.values[n] for n in (names["speed"], names["output"], name)])
+            count = columns.shape[1] // rows
+            v, yaw, a = columns[:, : count * rows].reshape(3, count, rows).mean(axis=2)
+            both = np.array([v * yaw, a])[:, np.isfinite(v * yaw * a)]
+            parts.append(both - both.mean(axis=1, keepdims=True) if both.size else both)
+        across, a = np.concatenate(parts, axis=1)
+        scale = float(np.sqrt((across @ across) * (a @ a))) if len(a) >= LEAST_SAMPLES else 0.0
+        if scale > 0 and (correlation := abs(float(across @ a)) / scale) >= FOLLOWS:
+            stated = {u for r in recordings if (u := r.units.get(name, "").strip())}
+            stated |= set(BRACKETS.findall(name))
+            factors = [f for u in stated if (f := unit_factor(u, "m/s2"))] or [1.0, STANDARD_GRAVITY]
+            slope = float(np.sqrt(a @ a / (across @ across)))
+            candidates.append((correlation, Lateral(name, slope, tuple(factors))))
+    return max(candidates, key=lambda pair: pair[0])[1] if candidates else None
 
 
 def _fine_parts(name: str, common: list[str], recordings: list[Recording]) -> tuple[str, ...]:

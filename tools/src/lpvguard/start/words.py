@@ -11,6 +11,8 @@ def _any(expressions: str) -> str:
     return "|".join(expressions.split())
 
 
+GREEK = str.maketrans({"δ": "delta", "ψ": "psi", "ω": "omega", "\u0307": "_dot"})
+"""Letters in names, and the dot above one."""
 WORDS = {
     "speed": (
         _any(
