@@ -98,7 +98,7 @@ public:
         }
         r.scale = static_cast<Real>(uniform(1.0, 4.0));
         r.least = static_cast<Real>(uniform(0.0, 8.0));
-        r.lack = static_cast<Real>(uniform(0.0, 10.0));
+        r.lack = static_cast<Real>(whole(1U) == 0U ? uniform(0.0, 10.0) : 1e4);  // then two faults are explained, too
         w.crc32 = lpvg_isolation_table_crc32(&table);
         draw();
     }
@@ -327,7 +327,7 @@ TEST_CASE("random windows under random tables are judged as a second reckoning j
     constexpr double digits = sizeof(Real) == 4U ? 2e-5 : 1e-10;
     uint32_t named = 0U, unnamed = 0U, healthy = 0U, close = 0U;
     double largest = 0.0;
-    for (uint32_t seed = 1U; seed <= 200U; ++seed) {
+    for (uint32_t seed = 1U; seed <= 300U; ++seed) {
         Window window(seed);
         const Expected x = window.reckoned();
         const lpvg_isolation_t self = window.judged();
@@ -365,6 +365,6 @@ TEST_CASE("random windows under random tables are judged as a second reckoning j
         healthy += x.differs ? 0U : 1U;
     }
     CAPTURE(named, unnamed, healthy, close, largest);
-    CHECK(close <= 20U);
-    CHECK(std::min({named, unnamed, healthy}) >= 3U);
+    CHECK(close <= 30U);
+    CHECK(std::min({named, unnamed, healthy}) >= 1U);
 }
