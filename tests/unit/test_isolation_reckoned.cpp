@@ -63,7 +63,7 @@ std::pair<Matrix, double> inverted(Matrix a) {
 
 struct Expected {
     std::vector<double> fit, misfit;  // by part; then of a healthy vehicle, and of all parts
-    bool differs = false, explained = false;
+    bool differs = false, explained = false, paired = false;
     uint32_t parts = 0U;
     std::size_t likeliest = 0U, size = 0U;
     double value = 0.0, low = 0.0, high = 0.0;
@@ -163,16 +163,26 @@ private:
     double uniform(double low, double high) { return std::uniform_real_distribution<double>(low, high)(random_); }
     uint32_t whole(uint32_t most) { return std::uniform_int_distribution<uint32_t>(0U, most)(random_); }
 
-    // A window with the sizes of healthy parts and of up to two faulty ones.
+    static std::size_t first_column(std::size_t part) { return part < signals ? 5U * part : 4U * signals + part; }
+
+    // A window with the sizes of healthy parts and of up to two faulty ones; or of two that a third part nearly mimics.
     void draw() {
-        const uint32_t kind = whole(2U), parts = table.words.parts;
-        const uint32_t faulty = kind == 0U ? 0U : (1U << whole(parts - 1U)) | (kind == 1U ? 1U << whole(parts - 1U) : 0U);
-        const double strength = std::exp(uniform(-2.0, 1.5)), excitation = std::exp(normal());
+        const uint32_t kind = whole(3U), parts = table.words.parts;
+        const uint32_t faulty = kind % 3U == 0U ? 0U : (1U << whole(parts - 1U)) | (kind == 1U ? 1U << whole(parts - 1U) : 0U);
+        const double strength = std::exp(uniform(-2.0, 1.5));
+        const bool mimics = kind == 3U && parts > 2U;
+        const double excitation = mimics ? 3.0 : std::exp(normal());
         Vector size(m);
         for (std::size_t i = 0; i < m; ++i) {
             const bool own = (faulty >> table.words.part[place_of(i)] & 1U) != 0U;
             size[i] = double(table.reals.mean[i]) + double(table.reals.spread[i]) * normal() +
                       (own ? strength * double(table.reals.fault[i]) * normal() : 0.0);
+        }
+        std::vector<std::size_t> chosen(parts);
+        std::iota(chosen.begin(), chosen.end(), 0U);
+        std::shuffle(chosen.begin(), chosen.end(), random_);
+        for (std::size_t k = 0; mimics && k < 2U; ++k) {
+            size[first_column(chosen[k])] += uniform(0.3, 1.5);
         }
         alarmed = whole(3U) == 0U;
         for (std::size_t row = 0; row < m + 20U; ++row) {
@@ -180,8 +190,12 @@ private:
             x[0] = normal();
             for (std::size_t i = 0; i < m; ++i) {
                 x[i + 1U] = excitation * normal();
-                x[0] += size[i] * x[i + 1U];
             }
+            if (mimics) {
+                double& third = x[first_column(chosen[2]) + 1U];
+                third = 0.5 * third + x[first_column(chosen[0]) + 1U] + x[first_column(chosen[1]) + 1U];
+            }
+            x[0] += std::inner_product(size.begin(), size.end(), x.begin() + 1, 0.0);
             for (std::size_t a = 0; a <= m; ++a) {
                 for (std::size_t k = 0; k <= m; ++k) {
                     sums[a][k] += x[a] * x[k];
@@ -275,6 +289,7 @@ private:
         if (!of_pair.empty()) {
             const auto best = std::max_element(pairs.fit.begin(), pairs.fit.end());
             if (decides.above(*best, x.fit[x.likeliest] + std::log(1000.0) - std::log(0.95 / 0.05))) {
+                x.paired = true;
                 x.parts |= of_pair[static_cast<std::size_t>(best - pairs.fit.begin())];
                 for (auto other = pairs.fit.begin(); other != pairs.fit.end(); ++other) {
                     if (other != best) {
@@ -325,7 +340,7 @@ private:
 
 TEST_CASE("random windows under random tables are judged as a second reckoning judges them", "[REQ-ISO-1]") {
     constexpr double digits = sizeof(Real) == 4U ? 2e-5 : 1e-10;
-    uint32_t named = 0U, unnamed = 0U, healthy = 0U, close = 0U;
+    uint32_t named = 0U, unnamed = 0U, healthy = 0U, paired = 0U, close = 0U;
     double largest = 0.0;
     for (uint32_t seed = 1U; seed <= 300U; ++seed) {
         Window window(seed);
@@ -361,10 +376,11 @@ TEST_CASE("random windows under random tables are judged as a second reckoning j
             CHECK((found.value == Real(0) && found.low == Real(0) && found.high == Real(0)));
         }
         named += x.parts != 0U ? 1U : 0U;
+        paired += x.paired ? 1U : 0U;
         unnamed += x.differs && x.parts == 0U ? 1U : 0U;
         healthy += x.differs ? 0U : 1U;
     }
-    CAPTURE(named, unnamed, healthy, close, largest);
+    CAPTURE(named, unnamed, healthy, paired, close, largest);
     CHECK(close <= 30U);
-    CHECK(std::min({named, unnamed, healthy}) >= 1U);
+    CHECK(std::min({named, unnamed, healthy, paired}) >= 3U);
 }

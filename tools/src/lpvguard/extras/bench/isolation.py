@@ -237,10 +237,10 @@ def hour_words(result: dict[str, Any]) -> str:
     """Write the table of `bench_nuisance_hours`."""
     lines = [
         f"{result['drives']} drives of {LONG_S:g} s each, windows of {result['window_s']:g} s",
-        f"{'nuisance':<40}{'judged h':>9}{'drives':>8}  differing windows in 100 h (95 %)       sensor named",
+        f"{'nuisance':<46}{'judged h':>9}{'drives':>8}  differing windows in 100 h (95 %)       sensor named",
     ]
     for r in result["rows"]:
-        start = f"{r['nuisance']:<40}{r['judged_h']:>9.1f}{r['drives_with']:>8}"
+        start = f"{r['nuisance']:<46}{r['judged_h']:>9.1f}{r['drives_with']:>8}"
         lines.append(f"{start}  {hourly_words(r['per_100_h']):<40}{share_words(r['sensor'])}")
     return "\n".join(lines)
 
