@@ -26,6 +26,10 @@
 #define TARGET_DIAGNOSES
 #include "lpvguard/diagnosis.h"
 #endif
+#if __has_include("lpvguard_isolation.c")
+#define TARGET_ISOLATES
+#include "lpvguard/isolation.h"
+#endif
 #if LPVG_NK > 0
 #include "aes_cmac.hpp"
 #include "dense_controller.hpp"
@@ -189,6 +193,36 @@ void run_diagnosis() {
         }
     }
     work.write();
+}
+
+#endif
+
+#ifdef TARGET_ISOLATES
+// Isolation of a vehicle with redundant outputs: take after a push, work on a block or on a hypothesis of a window. Not part of the step.
+void run_isolation() {
+    static lpvg_isolation_t isolation;
+    for (const bool counts_work : {false, true}) {
+        require(lpvg_monitor_init(&monitor, &lpvg_coeff) == lpvg_status_ok, "monitor refused the coefficients\n");
+        require(lpvg_isolation_init(&isolation, &lpvg_isolation_table) == lpvg_status_ok, "the isolation refused its table\n");
+        Part part(counts_work ? "isolation_work" : "isolation_take");
+        const auto count = [&part](bool counted, auto call) {
+            if (counted) {
+                part.run(call);
+            } else {
+                call();
+            }
+        };
+        for (std::size_t k = 0; k < TARGET_INPUT_SAMPLES; ++k) {
+            const lpvg_sample_t sample = sample_at(k);
+            require(lpvg_monitor_push(&monitor, &sample) == lpvg_status_ok, "a sample was refused\n");
+            count(!counts_work, [&] { require(lpvg_isolation_take(&isolation, &monitor, &sample) == lpvg_status_ok, "no isolation\n"); });
+            for (bool more = isolation.pending || isolation.judging; more;) {
+                count(counts_work, [&] { more = lpvg_isolation_work(&isolation, &monitor); });
+            }
+        }
+        require(isolation.windows > 0U && isolation.newest.parts != 0U, "no part was named\n");
+        part.write();
+    }
 }
 
 #endif
@@ -560,6 +594,10 @@ int main() {
 #ifdef TARGET_DIAGNOSES
     Line().word("size").word("diagnosis").number(sizeof(lpvg_diagnosis_t)).write();
     run_diagnosis();
+#endif
+#ifdef TARGET_ISOLATES
+    Line().word("size").word("isolation").number(sizeof(lpvg_isolation_t)).write();
+    run_isolation();
 #endif
     run_model();
     run_margin();

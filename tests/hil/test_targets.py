@@ -99,7 +99,7 @@ def test_counts_are_within_the_budget(counted):
     assert counted["parts"]["diagnosis_take"]["worst"] <= 0.04 * step["worst"]
     monitor = (targets.library_root() / "include" / "lpvguard" / "monitor.h").read_text()
     assert int(re.search(r"^#define LPVG_NRECORDS (\d+)", monitor, re.MULTILINE)[1]) >= bench.RECORDED_FRAMES
-    assert max(part["stack"] for part in counted["parts"].values()) <= bench.STACK_BYTES
+    assert bench.stack_of(counted) <= bench.STACK_BYTES
     # A step in which XCP has nothing to do, with the truck's own frames.
     idle = counted["parts"]["xcp_event"]["worst"] + bench.TRUCK_FRAMES * counted["parts"]["xcp_idle"]["worst"]
     assert 0 < idle <= bench.XCP_IDLE * step["worst"]

@@ -32,6 +32,22 @@ def test_other_loads_and_tyres_are_the_vehicle_and_silent_where_declared(capsys)
     assert "load × 0.8, declared" in isolation.words(result)
 
 
+@pytest.mark.slow("25 s: an hour with each of five nuisances")
+def test_differing_windows_are_counted_in_hours(monkeypatch, capsys):
+    monkeypatch.setattr(isolation, "LONG_S", 120.0)
+    monkeypatch.setattr(isolation, "LONG_DRIVES", 15)
+    result = isolation.bench_nuisance_hours(0.5, 60.0, 1, 1)
+    rows = {r["nuisance"]: r for r in result["rows"]}
+    assert result["drives"] == 15 and len(rows) == 18
+    assert all(r["judged_h"] == pytest.approx(15 / 60) for r in rows.values())
+    undeclared, declared = (rows[f"load × 1.3, {kind}"] for kind in ("undeclared", "declared"))
+    assert undeclared["differ"] > 10 > declared["differ"]
+    assert undeclared["sensor"]["count"] <= 1 and undeclared["sensor"]["of"] > 10
+    assert rows["load × 1.3, declared, rated"]["differ"] <= declared["differ"]
+    text = isolation.hour_words(result)
+    assert "15 drives of 120 s each" in text and "tyres × 0.8 and load × 1.3, declared, rated" in text
+
+
 def test_outcomes_tell_one_of_several_and_wrong_apart():
     judged = isolation.outcome
     assert judged((), False, {"a"}) == "healthy" and judged((), True, {"a"}) == "no single"

@@ -13,6 +13,7 @@ from lpvguard.evaluate.judged_drives import JudgedDrives, calibrations_of, rate_
 from lpvguard.evaluate.summary import summary
 from lpvguard.identify import identification as stage
 from lpvguard.identify.calibration import RATED, Calibration, RateTarget, Recordings, calibrate
+from lpvguard.identify.confirmation import design_words
 from lpvguard.identify.identification import DriveSet
 from lpvguard.vehicle.project import load_project, parse_project
 
@@ -116,6 +117,16 @@ def test_every_test_has_its_share_of_the_rate_and_evaluate_says_so(rated, synthe
     assert rate["per_1000_h"] == 1.0
     assert 0 < rate["extrapolated_from_h"] < by_test["frame"].extrapolation.hours
     assert "blocks" in rated.pools.to_dict()
+
+
+@pytest.mark.slow("10 s: the synthetic drives identified with a rate")
+def test_the_exported_design_is_the_chosen_one(rated):
+    choice = rated.confirmation
+    row = next(r for r in choice.rows if r["label"] == design_words(choice.chosen))
+    assert row["threshold"] == pytest.approx(rated.calibration.carried, rel=1e-6)
+    words = rated.coefficients.words
+    assert (int(words["confirm"]), int(words["of_last"])) == choice.chosen
+    assert choice.starts > 0 and rated.designed.frame_test.confirm == choice.chosen[0]
 
 
 def test_the_first_line_of_an_evaluation_states_the_rate():

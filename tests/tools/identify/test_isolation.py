@@ -18,9 +18,11 @@ from lpvguard.extras.bench._redundant_car import (
     redundant_project,
 )
 from lpvguard.identify.isolation import (
+    ODDS,
     Changes,
     Isolation,
     is_separable,
+    odds_of,
     residual_structure,
 )
 from lpvguard.replay.parts import PartNamer, RunningParts
@@ -57,6 +59,15 @@ def test_a_column_is_what_its_part_does():
     slow = model.simulate(drive.v / 1.02, drive.u, drive.y[0]) - yhat
     assert change[:, :2, 25] == pytest.approx(slow[:, :2] / 0.02)
     assert change[:, 2, 25] == pytest.approx(slow[:, 2] / 0.02 - yhat[:, 2])
+
+
+def test_a_rate_of_alarms_raises_the_odds_that_a_window_needs():
+    def odds(rate: float | None) -> float:
+        settings = PROJECT.frame_test.model_copy(update={"alarms_per_1000_h": rate})
+        return odds_of(PROJECT.model_copy(update={"frame_test": settings}), 60.0)
+
+    assert odds(None) == odds(1000.0) == ODDS
+    assert odds(10.0) == pytest.approx(np.log(6000.0))
 
 
 @pytest.mark.slow("10 s: twelve faults in four drives each")

@@ -10,7 +10,7 @@ faulty part. Where several parts remain possible, all are named.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from dataclasses import fields as dataclass_fields
 from functools import cached_property, reduce
@@ -46,7 +46,8 @@ NEEDED = 19.0
 """Twice the log likelihood ratio x with which 95 % of windows decide between two parts. It solves x - 2
 sqrt(x) 1.64 = 2 log(SURE / (1 - SURE))."""
 ODDS = float(np.log(1000.0))
-"""A window differs if its log-odds exceed the log of the healthy windows' mean odds by this number."""
+"""A window differs if its log-odds exceed the log of the healthy windows' mean odds by this number. For a
+stated rate of alarms the number may be larger (`odds_of`)."""
 LONGEST_S = 36_000.0
 """Longest driving time in the table of times to isolation [s]."""
 UNEXPLAINED = 0.05
@@ -116,6 +117,24 @@ def columns_of(project: Project, spread_u: np.ndarray, spread_y: np.ndarray) -> 
             PartColumn(VEHICLE, "parameter", f"{name} factor", "", names.index(name), FAULT["parameter"])
         )
     return columns
+
+
+def odds_of(project: Project, window_s: float) -> float:
+    """Log-odds that a window must exceed the mean odds by, for the project's rate of alarms.
+
+    By Markov's inequality, healthy windows then differ at most that often.
+
+    Parameters
+    ----------
+    project : Project
+    window_s : float, s, length of a window
+
+    Returns
+    -------
+    float, at least ODDS
+    """
+    rate = project.frame_test.alarms_per_1000_h
+    return ODDS if rate is None else max(ODDS, float(np.log(3.6e6 / (rate * window_s))))
 
 
 class Changes:
@@ -343,12 +362,7 @@ def evidence_windows(changes: Changes, isolation: Isolation, drive: Drive) -> li
     -------
     list of WindowSums
     """
-    length = max(LAGS + 2, round(isolation.window_s / (changes.step * changes.project.Ts_s)))
-    return [
-        isolation.evidence([x[first : first + length]])
-        for x in changes.blocks(drive)
-        for first in range(0, len(x) - length + 1, length)
-    ]
+    return isolation.windows(changes.blocks(drive), changes)
 
 
 @dataclass(frozen=True)
@@ -419,7 +433,8 @@ class Isolation:
     def from_drives(cls, changes: Changes, drives: Sequence[Drive], window_s: float) -> Isolation:
         """Scales from healthy drives."""
         begun = cls.begun(changes, [moments_of(changes, d) for d in drives], window_s)
-        return begun.finished([evidence_windows(changes, begun, d) for d in drives])
+        windows = [evidence_windows(changes, begun, d) for d in drives]
+        return begun.finished(windows, odds_of(changes.project, window_s))
 
     @classmethod
     def begun(cls, changes: Changes, moments: Sequence[Moments], window_s: float) -> Isolation:
@@ -431,7 +446,7 @@ class Isolation:
         m = len(columns)
         return cls(columns, np.zeros(m), np.ones(m), A, S, 1.0, 0.0, 0.0, np.zeros((m, m)), window_s)
 
-    def finished(self, windows: Sequence[Sequence[WindowSums]]) -> Isolation:
+    def finished(self, windows: Sequence[Sequence[WindowSums]], odds: float = ODDS) -> Isolation:
         """Complete scales, with the sizes and limits of healthy drives, from the windows of each drive.
 
         For the limits, the sizes of all other folds judge the windows of each fold. Raises InputError without
@@ -455,7 +470,7 @@ class Isolation:
             for drive_windows in drives[k::folds]
             for w in drive_windows
         ] or [(made, w) for w in every]
-        return made._limited(judged)
+        return made._limited(judged, odds)
 
     def _without(self, drives: list[list[WindowSums]], folds: int) -> Iterator[Isolation]:
         """Yield for each fold the scales with the sizes of all other drives; nothing for a single drive."""
@@ -476,10 +491,10 @@ class Isolation:
         expected = w.G + w.G @ np.diag(self.spread**2) @ w.G
         return float(b @ np.linalg.pinv(expected) @ b) / len(b)
 
-    def _limited(self, judged: list[tuple[Isolation, WindowSums]]) -> Isolation:
+    def _limited(self, judged: list[tuple[Isolation, WindowSums]], odds: float) -> Isolation:
         """Scales with the scale and limits of healthy windows, each paired with the scales that judge it.
 
-        Markov's inequality: at most 1 in 1000 healthy windows has odds above 1000 times their mean.
+        Markov's inequality: at most 1 in n healthy windows has odds above n times their mean, n = exp(odds).
         """
         scale = max(1.0, float(np.mean([judge._excess(w) for judge, w in judged])))
         against, lacks = [], [0.0]
@@ -489,7 +504,7 @@ class Isolation:
             against.append(max(fits.values()) - fits[""])
             lacks.append(scaled._lack(w))
         mean_odds = float(logsumexp(against) - np.log(len(against)))
-        return replace(self, scale=scale, least=max(0.0, mean_odds) + ODDS, lack=max(lacks))
+        return replace(self, scale=scale, least=max(0.0, mean_odds) + odds, lack=max(lacks))
 
     def to_dict(self) -> dict:
         """Convert to JSON types, with the tables of `isolable` and `told_after`."""
@@ -539,6 +554,15 @@ class Isolation:
             G = white.T @ white
             total += WindowSums(G[1:, 1:], G[1:, 0], len(x) - LAGS)
         return total
+
+    def windows(self, stretches: Iterable[np.ndarray], changes: Changes) -> list[WindowSums]:
+        """Sums of each complete window in stretches of blocks (B, n_y, 1 + m)."""
+        length = max(LAGS + 2, round(self.window_s / (changes.step * changes.project.Ts_s)))
+        return [
+            self.evidence([x[first : first + length]])
+            for x in stretches
+            for first in range(0, len(x) - length + 1, length)
+        ]
 
     def _explained(self, w: WindowSums, spread: np.ndarray) -> tuple[float, np.ndarray]:
         """Sum of squares of a window that sizes with a ``spread`` (m,) explain.

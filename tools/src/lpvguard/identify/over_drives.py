@@ -25,7 +25,7 @@ from .energy import EnergyTest
 from .error_domain import ErrorDomain
 from .error_sums import ErrorSums, joined
 from .healthy import HealthySet, healthy_set
-from .isolation import Changes, Isolation
+from .isolation import Changes, Isolation, odds_of
 from .model_error import FEWEST_FRAMES, FOLDS, ErrorEstimate, ErrorGrid, ModelError, Sums, model_error_pass
 from .passes import (
     DRAWN_SPECTRA,
@@ -526,9 +526,8 @@ class OverDrives:
         changes = Changes(reader.project, reader.model)
         moments = list(self.over("isolation", partial(isolation_moments_pass, reader, changes), every))
         begun = Isolation.begun(changes, moments, reader.project.isolation.window_s)
-        return begun.finished(
-            list(self.over("isolation", partial(isolation_windows_pass, reader, changes, begun), every))
-        )
+        windows = list(self.over("isolation", partial(isolation_windows_pass, reader, changes, begun), every))
+        return begun.finished(windows, odds_of(reader.project, begun.window_s))
 
     def _scores(
         self, weights: Weights, core: Core | None, reals: np.ndarray | None, drives: Chosen

@@ -27,8 +27,11 @@ from ...engine.overbound.weight import Weight
 from ...identify.change import ChangeTest
 from ...identify.diagnosis import PARTS, DiagnosisScales
 from ...identify.energy import EnergyTest
+from ...identify.isolation import Changes, Isolation
+from ...identify.isolation_table import isolation_table, parts_header
 from ...vehicle.nominal import NominalModel
 from ...vehicle.project import Project, load_project, parse_project
+from ._redundant_car import FAULTS, redundant_drives, redundant_project
 
 WORST_STEP = 10_800  # instructions, Cortex-M4F, everything included
 INIT = 150_000  # instructions, Cortex-M4F
@@ -46,6 +49,9 @@ DENSE_TO_CONTROLLER = 5.0
 """Least ratio of the instructions of a step with full matrices to those of the core's step
 (firmware_sim/ports/dense_controller.hpp)."""
 CONTROLLER_STATES = 25
+ISOLATION_WINDOW_S = 20.0
+ISOLATION_PARTS = ("isolation_take", "isolation_work")
+"""Parts of the isolation, which a vehicle without redundant outputs does not have. Their stack is apart."""
 CYCLES_PER_INSTRUCTION = 1.0
 """Cycles per instruction that the processor load assumes; the report says so."""
 
@@ -141,6 +147,46 @@ def write_budget_vehicle(folder: Path) -> Project:
     return project
 
 
+def write_redundant_vehicle(folder: Path, project: Project, isolation: Isolation, threshold: float) -> None:
+    """Write a generated folder of the car with four outputs, with placeholder bounds.
+
+    Only its frame test alarms, above ``threshold``.
+    """
+    model = NominalModel(project)
+    estimator = Estimator.from_project(project, model)
+    ones = np.ones((estimator.n_bins, project.n_y))
+    energy = EnergyTest.design(
+        project,
+        estimator,
+        [Weight(np.array([0.3]), np.array([1.0]))] * project.n_delta,
+        estimator.omega[1:],
+        np.full((estimator.n_bins - 1, project.n_delta), 0.1),
+        1.0,
+    )
+    energy = replace(energy, sigma=np.full((len(energy.F), project.n_y), 10.0))
+    quiet = ChangeTest.design(project)
+    quiet = replace(quiet, largest=1e3 * quiet.largest)
+    W_delta, B_w = 0.3 * ones[:, : project.n_delta], 0.01 * ones
+    coefficients = build_coefficients(project, model, estimator, W_delta, B_w, threshold, energy, quiet)
+    parts = (isolation_table(project, isolation), parts_header(project, isolation))
+    folder.mkdir()
+    write_files(folder, vehicle_files(project, coefficients, {"kind": "vehicle"}, isolation=parts))
+
+
+def count_isolation(target: str) -> dict[str, Any]:
+    """Return ``parts`` and ``structs`` of the isolation of the car with four outputs, as `run_target`."""
+    project = redundant_project()
+    changes = Changes(project, NominalModel(project))
+    isolation = Isolation.from_drives(changes, redundant_drives(6, 100.0, 1)[0], ISOLATION_WINDOW_S)
+    ((drive,),) = redundant_drives(1, 3 * ISOLATION_WINDOW_S, 3, [FAULTS[:1]], ISOLATION_WINDOW_S)
+    with tempfile.TemporaryDirectory() as scratch:
+        folder = Path(scratch) / project.name
+        write_redundant_vehicle(folder, project, isolation, 1.5)
+        run = run_target(target, folder, Input(drive.v, drive.u, drive.y), same_bits=False)
+    parts = {name: part for name, part in run["parts"].items() if name in ISOLATION_PARTS}
+    return {"parts": parts, "structs": {"isolation": run["structs"]["isolation"]}}
+
+
 def drive_of(project: Project, *, seed: int = 3) -> Input:
     """Simulate a drive in which every bin completes judged frames and the speed changes in every sample."""
     model = NominalModel(project)
@@ -206,10 +252,15 @@ def count(target: str, folder: Path, drive: Input) -> dict[str, Any]:
     run["rom_total"] = sum(run["rom"].values())
     run["worst_to_median"] = step["worst"] / step["median"]
     run["monitor_only"] = monitor_only(target)
-    ring = run_evidence(target, folder)
-    run["parts"] |= ring["parts"]
-    run["structs"] |= ring["structs"]
+    for beside in (run_evidence(target, folder), count_isolation(target)):
+        run["parts"] |= beside["parts"]
+        run["structs"] |= beside["structs"]
     return run
+
+
+def stack_of(run: dict[str, Any]) -> int:
+    """Deepest stack of the parts [bytes], without the isolation."""
+    return max(part["stack"] for name, part in run["parts"].items() if name not in ISOLATION_PARTS)
 
 
 def dense_to_controller(run: dict[str, Any]) -> float:
@@ -280,7 +331,7 @@ GUIDE_ROWS: tuple[tuple[str, str, Callable[[dict[str, Any]], str]], ...] = (
     ("watch in it, worst [instr]", "", _part("watch_take")),
     ("RAM [B]", f"{RAM_BYTES}", lambda run: str(run["structs"]["ecu"])),
     ("ROM [B]", f"{ROM_BYTES} (Cortex-M4F)", lambda run: str(run["rom_total"])),
-    ("stack [B]", f"{STACK_BYTES}", lambda run: str(max(p["stack"] for p in run["parts"].values()))),
+    ("stack [B]", f"{STACK_BYTES}", lambda run: str(stack_of(run))),
     ("init [instr]", f"{INIT}", _part("ecu_init")),
     ("step, full bus [instr]", "", _part("ecu_step_full")),
     ("authenticated message [instr]", "", _part("auth_pair")),
@@ -289,6 +340,10 @@ GUIDE_ROWS: tuple[tuple[str, str, Callable[[dict[str, Any]], str]], ...] = (
     ("diagnosis, a sample [instr]", "", _part("diagnosis_take")),
     ("diagnosis, a call beside [instr]", "", _part("diagnosis_work")),
     ("diagnosis RAM [B]", "", lambda run: str(run["structs"]["diagnosis"])),
+    ("isolation, four outputs, a sample [instr]", "", _part("isolation_take")),
+    ("isolation, a call beside [instr]", "", _part("isolation_work")),
+    ("isolation, stack of a call [B]", "", _part("isolation_work", "stack")),
+    ("isolation RAM [B]", "", lambda run: str(run["structs"]["isolation"])),
     ("XCP idle, a frame [instr]", "", _part("xcp_idle")),
     ("XCP idle, a step [instr]", "", _part("xcp_event")),
     ("XCP upload [instr]", "", _part("xcp_upload")),

@@ -9,11 +9,12 @@ faults of every sensor in pieces of drives. The scales come from the other drive
 come from its other pieces.
 
 With ``--nuisance``, the bench judges other loads and tyres of the synthetic car, first undeclared. Then the
-scales also come from a group of drives with each of them.
+scales also come from a group of drives with each of them. ``--hours`` counts windows that differ in so many
+hours of each, in place of the table.
 """
 
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -22,7 +23,7 @@ import numpy as np
 
 from ...base.errors import InputError
 from ...base.parallel import workers
-from ...base.rates import rate, share_words
+from ...base.rates import hourly_words, per_hour, rate, share_words
 from ...drives.tables import Drive, list_experiments, read_drive
 from ...identify.isolation import VEHICLE, Changes, Isolation, is_separable, residual_structure
 from ...vehicle.nominal import NominalModel
@@ -43,6 +44,10 @@ HEALTHY_DRIVES, HEALTHY_S, FROM_S = 20, 180.0, 40.0
 """Number and length [s] of the drives for the scales; time at which a fault begins [s]."""
 GROUP_DRIVES = 8
 """Number of drives with a declared nuisance."""
+RATE_PER_1000_H = 10.0
+"""Rate of alarms of the scales "rated": one in 100 h."""
+LONG_S, LONG_DRIVES = 600.0, 60
+"""Length of a drive whose windows are counted [s]; number of drives that are simulated at once."""
 KINDS = ("right", "one of", "wrong", "no single", "healthy")
 """Outcomes: only the right part, the right part among others, other parts, no part, no difference."""
 
@@ -168,6 +173,78 @@ def bench_nuisance(drives: int, window_s: float, seed: int, jobs: int) -> dict[s
     }
 
 
+def _differing(
+    changes: Changes, isolations: Mapping[str, Isolation], drive: Drive
+) -> dict[str, list[tuple[str, ...] | None]]:
+    """Parts that each window of a drive names by each of several scales; None where the window agrees."""
+    stretches = list(changes.blocks(drive))
+    named: dict[str, list[tuple[str, ...] | None]] = {}
+    for kind, isolation in isolations.items():
+        findings = [isolation.name(w) for w in isolation.windows(stretches, changes)]
+        named[kind] = [f.parts if f.differs else None for f in findings]
+    return named
+
+
+def bench_nuisance_hours(hours: float, window_s: float, seed: int, jobs: int) -> dict[str, Any]:
+    """Count the windows that differ in hours of driving with each nuisance, undeclared and declared."""
+    project = redundant_project()
+    changes = Changes(project, NominalModel(project))
+    healthy = redundant_drives(HEALTHY_DRIVES, HEALTHY_S, seed)[0]
+    groups = redundant_drives(GROUP_DRIVES, HEALTHY_S, seed + 2, NUISANCES)
+    settings = project.frame_test.model_copy(update={"alarms_per_1000_h": RATE_PER_1000_H})
+    rated = Changes(project.model_copy(update={"frame_test": settings}), changes.model)
+    isolations = {
+        "undeclared": Isolation.from_drives(changes, healthy, window_s),
+        "declared": Isolation.from_drives(changes, sum(groups, healthy), window_s),
+        "declared, rated": Isolation.from_drives(rated, sum(groups, healthy), window_s),
+    }
+    cases: list[tuple[PartFault, ...]] = [(), *NUISANCES]
+    counts: dict[tuple[str, tuple[PartFault, ...]], Counter[str]] = {
+        (kind, case): Counter() for kind in isolations for case in cases
+    }
+    batches = int(np.ceil(hours * 3600 / (LONG_S * LONG_DRIVES)))
+    with workers(jobs) as run:
+        for batch in range(batches):
+            made = redundant_drives(LONG_DRIVES, LONG_S, 1000 * (seed + 4) + batch, cases)
+            for case, drives in zip(cases, made, strict=True):
+                for named in run(partial(_differing, changes, isolations), drives):
+                    for kind, windows in named.items():
+                        own = [parts for parts in windows if parts is not None]
+                        counts[kind, case].update(
+                            windows=len(windows),
+                            differ=len(own),
+                            drives=bool(own),
+                            sensor=sum(bool(parts) and VEHICLE not in parts for parts in own),
+                        )
+    rows = []
+    for (kind, case), n in counts.items():
+        label = " and ".join(f.label for f in case) or "none"
+        judged_h = n["windows"] * window_s / 3600
+        rows.append(
+            {
+                "nuisance": f"{label}, {kind}",
+                "judged_h": judged_h,
+                "drives_with": n["drives"],
+                "differ": n["differ"],
+                "per_100_h": per_hour(n["differ"], judged_h / 100),
+                "sensor": rate(n["sensor"], n["differ"]),
+            }
+        )
+    return {"drives": LONG_DRIVES * batches, "window_s": window_s, "rows": rows}
+
+
+def hour_words(result: dict[str, Any]) -> str:
+    """Write the table of `bench_nuisance_hours`."""
+    lines = [
+        f"{result['drives']} drives of {LONG_S:g} s each, windows of {result['window_s']:g} s",
+        f"{'nuisance':<46}{'judged h':>9}{'drives':>8}  differing windows in 100 h (95 %)       sensor named",
+    ]
+    for r in result["rows"]:
+        start = f"{r['nuisance']:<46}{r['judged_h']:>9.1f}{r['drives_with']:>8}"
+        lines.append(f"{start}  {hourly_words(r['per_100_h']):<40}{share_words(r['sensor'])}")
+    return "\n".join(lines)
+
+
 def bench_measured(project: Project, drives: list[Drive], window_s: float, size: float) -> dict[str, Any]:
     """Compute the numbers for faults planted in measured drives; ``size`` is a factor of the usual sizes.
 
@@ -244,11 +321,17 @@ def main(argv: list[str]) -> None:
     arguments.add_argument("--seed", type=int, default=1)
     arguments.add_argument("--jobs", type=int, default=1, help="processes that share the drives")
     arguments.add_argument("--nuisance", action="store_true", help="other loads and tyres in place of faults")
+    arguments.add_argument("--hours", type=float, help="with --nuisance: hours of each in which to count")
     arguments.add_argument("--vehicle", help="project file with [isolation], of measured drives")
     arguments.add_argument("--data", type=Path, help="folder of its drives")
     arguments.add_argument("--size", type=float, default=1.0, help="factor of the planted faults' sizes")
     options = arguments.parse_args(argv)
     require_at_least("isolation", options, drives=1, window=10, jobs=1, size=0.01)
+    if options.hours is not None:
+        require_at_least("isolation", options, hours=1)
+        result = bench_nuisance_hours(options.hours, options.window, options.seed, options.jobs)
+        show(hour_words(result), result, options.json_out)
+        return
     if options.vehicle or options.data:
         result = bench_measured(*_measured(options.vehicle, options.data), options.window, options.size)
     else:
