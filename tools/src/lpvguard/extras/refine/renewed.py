@@ -80,15 +80,9 @@ def renew(
         [d.experiment(here) for d in decisions.drives], {d.name: d.vehicle for d in decisions.drives}
     )
     project = lineage.stored.project
-    with (
-        artefacts.new_folder(out, KIND, project.name) as folder,
-        lineage.first() as first,
-    ):
-        own = own_gains(lineage, first, evidence, {d.name for d in accepted}, workers)
-        with evidence.divided(own, project, folder, workers) as divided:
-            _merge(lineage, accepted, divided, folder / DRIVES)
-            progress("lifetime test")
-            divided.lived(lineage, first, workers)[0].write(folder / LIFE)
+    with artefacts.new_folder(out, KIND, project.name) as folder:
+        progress("own gains and lifetime test")
+        _write_drives(lineage, evidence, accepted, folder, workers)
         if recentred:
             progress("new nominal model")
             fitted = fitted_model.fit(project, folder / DRIVES)
@@ -107,12 +101,21 @@ def renew(
             refused=[d.name for d in decisions.drives if not d.accept],
         )
         table = compared(lineage.stored, stage.load(folder / IDENTIFICATION))
-        files = {
-            TABLE: artefacts.to_json(table), PICTURE: drawn(project, table), OWN: own.text,
-            artefacts.MANIFEST: note,
-        }  # fmt: skip
+        files = {TABLE: artefacts.to_json(table), PICTURE: drawn(project, table), artefacts.MANIFEST: note}
         artefacts.write_files(folder, files)
         return table
+
+
+def _write_drives(
+    lineage: Lineage, evidence: Evidence, accepted: list[DriveDecision], folder: Path, workers: Map
+) -> None:
+    """Write the own gains, all drives divided by them, and the lifetime test's state."""
+    with lineage.first() as first:
+        own = own_gains(lineage, first, evidence, {d.name for d in accepted}, workers)
+        artefacts.write_files(folder, {OWN: own.text})
+        with evidence.divided(own, lineage.stored.project, folder, workers) as divided:
+            _merge(lineage, accepted, divided, folder / DRIVES)
+            divided.lived(lineage, first, workers)[0].write(folder / LIFE)
 
 
 def own_gains(
