@@ -113,7 +113,7 @@ def test_a_beginning_of_few_samples_ends_where_all_end(g80, monkeypatch):
     drives = car.drives(random, 60.0)
     whole = Fit(unknowns, drives).estimated(unknowns.start)
     monkeypatch.setattr("lpvguard.fit.stretches.FEW", 2000)
-    monkeypatch.setattr("lpvguard.fit.stretches.OF_A_DRIVE", 1000)
+    monkeypatch.setattr("lpvguard.fit.stretches.OF_A_DRIVE", (500, 1000))
     begun = Fit(unknowns, drives).estimated(unknowns.start)
     assert np.all(np.abs(begun.theta - whole.theta) <= 0.05 * whole.standard_error)
 

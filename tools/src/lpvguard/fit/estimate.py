@@ -190,11 +190,7 @@ class Fit:
         fit = self if few is self.drives else Fit(self.unknowns, few)
         return fit._plain(fit._with_delay(theta), ROUGH)
 
-    def plain(self, theta: np.ndarray) -> np.ndarray:
-        """Unknowns (p,) of least plain squares on all drives, from what few stretches say."""
-        return self._plain(self.begun(theta))
-
-    def _plain(self, theta: np.ndarray, precision: float = PRECISE) -> np.ndarray:
+    def _plain(self, theta: np.ndarray, precision: float) -> np.ndarray:
         """Unknowns (p,) of least plain squares near theta (p,)."""
         self.pieces = self._pieces(theta)
         stretches = self._stretches(self.errors(theta))
@@ -264,9 +260,9 @@ class Fit:
         return np.array(trims), np.array(errors_of)
 
     def estimated(self, theta: np.ndarray) -> Estimate:
-        """Fit and noise model in turn, from theta (p,), until the fit rests."""
-        plain = theta = self.plain(theta)
-        white, pieces, least = self.whitening, self.pieces, self._left(plain)
+        """Fit and noise model in turn, from theta (p,) and what few stretches say, until the fit rests."""
+        plain = theta = self._plain(self.begun(theta), ROUGH)
+        least = self._left(plain)
         for _ in range(PASSES):
             self.pieces = self._pieces(theta)
             self.whitening = [noise.fitted(drives) for drives in self._stretches(self._trimmed_errors(theta))]
@@ -276,7 +272,7 @@ class Fit:
                 break
         taken = self._left(theta) > WORSE * least
         if taken:
-            theta, self.whitening, self.pieces = plain, white, pieces
+            theta = self._plain(plain, PRECISE)
             covariance = self._covariance(theta, COLOURED_BLOCKS)
         trims, trim_errors = self._trims(theta)
         if self.own_trim:

@@ -8,8 +8,8 @@ from ..drives.frames import settled
 from ..drives.tables import Drive
 from ..vehicle.nominal import NominalModel
 
-FEW, OF_A_DRIVE = 50_000, 6_000
-"""Samples with which a fit begins where there are more, and the fewest of each of its drives."""
+FEW, OF_A_DRIVE = 50_000, (6_000, 12_500)
+"""Samples with which a fit begins where there are more, and fewest and most of a longer drive among them."""
 
 
 def judged_samples(model: NominalModel, v: np.ndarray) -> np.ndarray:
@@ -33,12 +33,15 @@ def few_stretches(model: NominalModel, drives: list[Drive]) -> list[Drive]:
         return drives
     judged = {id(d): judged_samples(model, d.v) for d in drives}
     by_speed = sorted((d for d in drives if judged[id(d)].any()), key=lambda d: (float(np.mean(d.v)), d.name))
-    chosen = np.linspace(0, len(by_speed) - 1, min(len(by_speed), FEW // OF_A_DRIVE)).round().astype(int)
+    usual = float(np.mean([min(len(d.t), OF_A_DRIVE[0]) for d in by_speed]))
+    count = min(len(by_speed), max(1, round(FEW / usual)))
+    chosen = np.linspace(0, len(by_speed) - 1, count).round().astype(int)
+    samples = int(np.clip(FEW // count, *OF_A_DRIVE))
     few = []
     for d in (by_speed[i] for i in chosen):
         at = judged[id(d)]
         there = replace(d, y=np.where(at[:, None], d.y, d.y[at].mean(axis=0)))
-        lively = liveliest(there, FEW // len(chosen))
+        lively = liveliest(there, samples)
         s = slice(max(0, lively.start - model.settle_samples), lively.stop)
         few.append(Drive(d.name, d.t[s], d.v[s], d.u[s], d.y[s]))
     return few
