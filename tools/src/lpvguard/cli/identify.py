@@ -38,7 +38,6 @@ def identify(
     from ..identify import identification as stage
     from ..identify.deciders import decides_bounds, decides_thresholds, outlying, silence, unresolved
     from ..identify.unexplained import cost, unexplained
-    from ..identify.weights import use_of_weights
 
     project = project_of(vehicle)
     with progress_bar("identify") as tell, workers(jobs, scheduler) as started, keeping(keep, started) as run:
@@ -81,7 +80,6 @@ def identify(
     for name, reason in result.left_out.items():
         console.print(f"left out: {name}: {reason}", markup=False)
     print_tests(result)
-    console.print(use_of_weights(result.weights.to_dict()))
     console.print(
         f"threshold {c.carried:.4g} ({c.claim()}); "
         f"final inflation {result.weights.inflation:.6g}; written to {out}"

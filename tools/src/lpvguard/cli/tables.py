@@ -264,8 +264,12 @@ def print_evidence(result: Identification, further: list[str]) -> None:
 
 
 def print_tests(result: Identification) -> None:
-    """Thresholds of energy and change test, what they promise, and sizes; what the diagnosis cannot name."""
+    """Who uses which bounds; thresholds of energy and change test, what they promise, and sizes; what the
+    diagnosis cannot name."""
+    from ..identify.weights import use_of_weights
+
     energy, change = result.energy, result.change
+    console.print(use_of_weights(result.weights.to_dict()))
     if energy is not None:
         console.print(
             f"energy test: threshold {energy.calibration.carried:.4g} ({energy.calibration.claim()}), "
