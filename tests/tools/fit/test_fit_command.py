@@ -80,7 +80,7 @@ def test_the_project_file_gets_the_numbers_and_keeps_its_comments(lpvguard, fold
         "--recentre",
     )
     centred = json.loads((folder / "centred" / "fit.json").read_text())
-    assert done.returncode == 0 and "recentring: relative error of frames" in done.stderr
+    assert done.returncode == 0 and "recentring: median error of frames" in done.stderr
     assert list(validator.iter_errors(centred)) == [] and centred["recentring"]["fitted"] > 0
 
 

@@ -232,7 +232,7 @@ def print_fit(result: FittedModel) -> None:
         console.print(line)
     if (r := result.recentring) is not None:
         console.print(
-            f"recentring: relative error of frames {r.fitted:.3f} by least squares, {r.left_out:.3f} on "
+            f"recentring: median error of frames {r.fitted:.3f} by least squares, {r.left_out:.3f} on "
             f"drives that were left out: {'taken' if r.taken else 'not taken'}"
         )
     for text in result.findings:

@@ -6,8 +6,10 @@ Least squares weigh an error by its size, a bound W_Δ by its share of the outpu
 
 for each speed, bin and output, with Z the nominal output of the fitted unknowns. At a frozen speed the error
 of other unknowns theta is then ``r = (1 + delta) G(fitted) / G(theta) - 1``. Recentring minimises the sum of
-|r|^2, each weighted by its coherence, and simulates no drive again. Drives that were left out decide whether
-it pays.
+a robust loss of r, weighted by its coherence, and simulates no drive again. Drives that were left out decide
+whether it pays.
+
+A sum of squares would follow drives whose error no parameters can take up, as friction at small amplitudes.
 """
 
 from __future__ import annotations
@@ -28,13 +30,15 @@ from .unknowns import DELAY, Unknowns
 CELLS = 8
 """Speed cells of equal width, in which the frames of a drive are pooled."""
 FOLDS = 5
+USUAL = 0.1
+"""Relative error from which a group counts in proportion to its error, and no longer to the square."""
 FEWEST_FRAMES = 3
 """Fewest frames of a drive in a cell that say a ratio."""
 
 
 @dataclass(frozen=True)
 class Recentring:
-    """Relative errors of the frames, root mean squares.
+    """Relative errors of the frames, medians.
 
     Attributes
     ----------
@@ -74,11 +78,7 @@ def recentred(unknowns: Unknowns, estimate: Estimate, drives: Sequence[Drive]) -
     error = _RelativeError(unknowns, estimate.theta, drives)
     fold = error.drive % FOLDS
     left = [np.abs(error(error.least(fold != k))[fold == k]) for k in range(FOLDS)]
-    total = np.sum(error.weight**2)
-    fitted, left_out = (
-        float(np.sqrt(np.sum(np.square(x)) / total))
-        for x in (np.abs(error(error.fitted)), np.concatenate(left))
-    )
+    fitted, left_out = (float(np.median(x)) for x in (np.abs(error(error.fitted)), np.concatenate(left)))
     if left_out >= fitted:
         return estimate, Recentring(fitted, left_out, False)
     x = error.least(np.full(len(fold), True))
@@ -150,7 +150,14 @@ class _RelativeError:
         starts = (u.inside(self._all)[self.free], u.inside(u.start)[self.free])
         bounds = (u.low[self.free], u.high[self.free])
         solutions = [
-            least_squares(lambda x: self._real(x, chosen).ravel(), s, bounds=bounds, x_scale="jac")
+            least_squares(
+                lambda x: self._real(x, chosen).ravel(),
+                s,
+                bounds=bounds,
+                x_scale="jac",
+                loss="cauchy",
+                f_scale=USUAL,
+            )
             for s in starts
         ]
         return min(solutions, key=lambda f: f.cost).x
@@ -160,9 +167,10 @@ class _RelativeError:
         everything = np.full(len(self.drive), True)
         r = self._real(x, everything)
         J = approx_fprime(x, lambda y: self._real(y, everything).ravel()).reshape(*r.shape, len(x))
-        slopes = np.einsum("ij,ijk->ik", r, J)
+        w = 1 / (1 + (r / USUAL) ** 2)
+        slopes = np.einsum("ij,ij,ijk->ik", w, r, J)
         s = np.array([slopes[self.drive == i].sum(axis=0) for i in np.unique(self.drive)])
-        inverse = np.linalg.pinv(np.einsum("ijk,ijl->kl", J, J), hermitian=True)
+        inverse = np.linalg.pinv(np.einsum("ij,ijk,ijl->kl", w, J, J), hermitian=True)
         return inverse @ (s.T @ s) @ inverse * len(s) / max(1, len(s) - len(x))
 
 
