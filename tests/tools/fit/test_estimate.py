@@ -13,6 +13,7 @@ from lpvguard.drives.tables import list_experiments, read_drive
 from lpvguard.fit import noise
 from lpvguard.fit.estimate import Fit
 from lpvguard.fit.quality import by_drive, pooled_vaf
+from lpvguard.fit.stretches import FEW, few_stretches, judged_samples
 from lpvguard.fit.unknowns import TriedModel, Unknowns
 from lpvguard.vehicle.nominal import NominalModel
 from lpvguard.vehicle.project import FitSettings
@@ -74,6 +75,47 @@ def test_a_trim_a_drive_is_found_and_its_mean_is_the_projects(g80):
     assert np.abs(estimate.trims[:, 0] - (trims - trims.mean())).max() < 4e-3
     assert written is not None and abs(written[0] - car.trim - trims.mean()) < 3e-3
     assert "input_offset[0]" not in estimate.unknowns.names
+
+
+def test_the_triangle_of_all_drives_has_the_products_of_their_residuals(g80):
+    random = np.random.default_rng(6)
+    unknowns = Unknowns.from_project(guessed(g80))
+    fit = Fit(unknowns, KnownCar.drawn(random).drives(random, 20.0))
+    fit.whitening = [noise.white(fit._stretches(fit.errors(unknowns.start))[0])]
+    triangle = fit._reduced(unknowns.start)
+    whole = np.column_stack(
+        [np.concatenate(list(x)) for x in (fit.residuals(unknowns.start), fit.derivatives(unknowns.start))]
+    )
+    products = whole.T @ whole
+    scale = np.sqrt(np.outer(np.diag(products), np.diag(products)))
+    assert np.abs(triangle.T @ triangle - products).max() < 1e-9 * scale.max()
+    assert triangle[0, 0] > 0 and not triangle[1:, 0].any()
+
+
+def test_of_many_samples_few_are_judged_stretches_at_all_speeds(g80):
+    random, model = np.random.default_rng(7), NominalModel(g80)
+    car = KnownCar.drawn(random)
+    drives = [car.drive(random, v, 400.0, f"at_{v:g}") for v in np.linspace(6.0, 18.0, 8)]
+    assert few_stretches(model, drives[:2]) == drives[:2]
+    late = len(drives[0].t) - 4000
+    drives[0].v[:late] = 0.0  # what moves most outside of the speed range does not count
+    drives[0].y[:late] *= 10.0
+    few = few_stretches(model, drives)
+    assert [d.name for d in few] == [d.name for d in drives]
+    assert sum(len(d.t) for d in few) < FEW + 8 * (model.settle_samples + 1)
+    assert judged_samples(model, few[0].v).sum() > 3000
+
+
+@pytest.mark.slow("6 s: a car fitted by few samples first, and by all")
+def test_a_beginning_of_few_samples_ends_where_all_end(g80, monkeypatch):
+    random = np.random.default_rng(8)
+    car, unknowns = KnownCar.drawn(random), Unknowns.from_project(guessed(g80))
+    drives = car.drives(random, 60.0)
+    whole = Fit(unknowns, drives).estimated(unknowns.start)
+    monkeypatch.setattr("lpvguard.fit.stretches.FEW", 2000)
+    monkeypatch.setattr("lpvguard.fit.stretches.OF_A_DRIVE", (500, 1000))
+    begun = Fit(unknowns, drives).estimated(unknowns.start)
+    assert np.all(np.abs(begun.theta - whole.theta) <= 0.05 * whole.standard_error)
 
 
 def test_the_quick_model_is_the_nominal_one(g80):

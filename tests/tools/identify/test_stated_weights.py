@@ -7,7 +7,7 @@ import pytest
 
 from lpvguard.base.errors import InputError
 from lpvguard.engine.overbound.fit import fit_overbound
-from lpvguard.identify.weights import LISTED, FittedWeight, Weights
+from lpvguard.identify.weights import LISTED, FittedWeight, Weights, use_of_weights
 
 
 @pytest.fixture(scope="module")
@@ -24,6 +24,12 @@ def stored() -> dict:
 def test_what_was_written_is_read_and_written_the_same(stored):
     again = Weights.from_dict(stored, "here").to_dict()
     assert json.loads(json.dumps(again, default=np.ndarray.tolist)) == stored
+
+
+def test_it_is_said_which_bounds_the_frame_test_uses(stored):
+    above = f"at most {stored['W_delta'][0]['worst_ratio_db']:.2f} dB above"
+    assert "frame test uses the weights" in use_of_weights(stored) and above in use_of_weights(stored)
+    assert "tabulated bounds of the healthy set" in use_of_weights(stored | {"healthy": {}})
 
 
 @pytest.mark.parametrize(

@@ -6,6 +6,8 @@ import pytest
 from lpvguard.drives.ingest import ingest
 from lpvguard.drives.signal_map import Column, SignalMap, Term
 from lpvguard.drives.tables import read_drive
+from lpvguard.extras.loop.generate import truck_drive
+from lpvguard.fit.quality import of_drive
 from lpvguard.vehicle.nominal import NominalModel
 from lpvguard.vehicle.project import load_project
 
@@ -27,6 +29,26 @@ def test_the_race_cars_model_explains_its_laps(race_car, tmp_path):
         drive = read_drive(tmp_path / "d" / f"{lap.stem}.csv", car, any_values=True)
         explained.append(max(_explained(car, drive, trim) for trim in np.arange(-0.3, 0.31, 0.02)))
     assert min(explained) > 0.7 and np.mean(explained) > 0.85
+
+
+def test_the_fitted_truck_differs_from_the_truck_in_its_model_alone():
+    paper, fitted = (load_project(name).model_dump() for name in ("truck", "truck_fitted"))
+    assert {key for key in paper if paper[key] != fitted[key]} == {"name", "title", "model"}
+
+
+@pytest.mark.slow("5 s: drives of the simulated truck")
+@pytest.mark.parametrize("speed", [9.0, 15.5, 20.5])
+def test_the_fitted_truck_errs_less_than_table_1(tmp_path, speed):
+    """Drives of a seed that the fit did not see."""
+    path = tmp_path / "drive.csv"
+    usual = {"program": "multisine", "amplitude_low": 0.25, "amplitude_high": 1.0}
+    truck_drive(path, speed=speed, duration=180.0, seed=977, **usual)
+    left = []
+    for name in ("truck", "truck_fitted"):
+        model = NominalModel(load_project(name))
+        drive = read_drive(path, load_project(name))
+        left.append(1 - of_drive(model, drive, model.simulate(drive.v, drive.u, drive.y[0]), []).vaf)
+    assert np.all(left[1] < left[0])
 
 
 def _explained(car, drive, trim: float) -> float:

@@ -25,6 +25,12 @@ def fit(
     accept_unusual: Annotated[
         bool, typer.Option("--accept-unusual", help="Accept a model beyond the stated kind of vehicle.")
     ] = False,
+    recentre: Annotated[
+        bool,
+        typer.Option(
+            "--recentre", help="Fit the error's share of the output over speed and frequency, where it pays."
+        ),
+    ] = False,
     json_out: JsonOut = None,
 ) -> None:
     """Fit the model's parameters, delay and offsets; writes the project file anew beside the old one.
@@ -37,7 +43,7 @@ def fit(
 
     project = project_of(vehicle, drives)
     with progress_bar("fit") as tell:
-        result = stage(project, drives, tell, accept_unusual)
+        result = stage(project, drives, tell, accept_unusual, recentre)
         save(result, text_of(vehicle), vehicle, out, {"measured.svg": _picture(result)})
     emit(json_out, result.to_dict())
     print_fit(result)

@@ -230,6 +230,11 @@ def print_fit(result: FittedModel) -> None:
     console.print(fits)
     for line in gaps([*result.by_drive, *result.of_unseen]):
         console.print(line)
+    if (r := result.recentring) is not None:
+        console.print(
+            f"recentring: median error of frames {r.fitted:.3f} by least squares, {r.left_out:.3f} on "
+            f"drives that were left out: {'taken' if r.taken else 'not taken'}"
+        )
     for text in result.findings:
         console.print(f"finding: {text}")
     for text in result.differences:
@@ -259,8 +264,12 @@ def print_evidence(result: Identification, further: list[str]) -> None:
 
 
 def print_tests(result: Identification) -> None:
-    """Thresholds of energy and change test, what they promise, and sizes; what the diagnosis cannot name."""
+    """Who uses which bounds; thresholds of energy and change test, what they promise, and sizes; what the
+    diagnosis cannot name."""
+    from ..identify.weights import use_of_weights
+
     energy, change = result.energy, result.change
+    console.print(use_of_weights(result.weights.to_dict()))
     if energy is not None:
         console.print(
             f"energy test: threshold {energy.calibration.carried:.4g} ({energy.calibration.claim()}), "

@@ -4,6 +4,8 @@ A drive's own parameters follow from those of all by one Gauss-Newton step on it
 step takes the residuals of all its drives. The errors come from scores over short blocks.
 """
 
+from __future__ import annotations
+
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -37,6 +39,21 @@ class _Own:
     variance: np.ndarray
 
 
+@dataclass(frozen=True)
+class _Sums:
+    """Sums over the m blocks of a drive: J^T J (m, p, p), J^T r (m, p), and its number of residuals."""
+
+    products: np.ndarray
+    slopes: np.ndarray
+    samples: int
+
+    @classmethod
+    def of_blocks(cls, r: np.ndarray, J: np.ndarray, count: int) -> _Sums:
+        """Sums of residuals r (n,) and derivatives J (n, p) over ``count`` blocks."""
+        blocks = list(zip(np.array_split(r, count), np.array_split(J, count), strict=True))
+        return cls(np.array([j.T @ j for _, j in blocks]), np.array([j.T @ x for x, j in blocks]), len(r))
+
+
 def differences(fit: Fit, estimate: Estimate, groups: Mapping[str, str]) -> list[str]:
     """Name the parameters that differ between drives, and between groups, by more than their errors.
 
@@ -62,8 +79,10 @@ def differences(fit: Fit, estimate: Estimate, groups: Mapping[str, str]) -> list
     names = [estimate.unknowns.names[i] for i in compared]
     values = np.abs(estimate.theta[compared])
     least = [0.5 * fit.Ts if n == DELAY else LEAST * x for n, x in zip(names, values, strict=True)]
-    residuals = fit.residuals(estimate.theta)
-    derivatives = [J[:, compared] for J in fit.derivatives(estimate.theta)]
+    of_drives = [
+        _Sums.of_blocks(r, J[:, compared], max(1, round(len(r) / fit.n_y * fit.Ts / BLOCK_S)))
+        for r, J in zip(fit.residuals(estimate.theta), fit.derivatives(estimate.theta), strict=True)
+    ]
     parts: dict[str, dict[str, list[int]]] = {"drives": {}, "days or groups": {}}
     for k, drive in enumerate(fit.drives):
         parts["drives"][drive.name] = [k]
@@ -74,28 +93,22 @@ def differences(fit: Fit, estimate: Estimate, groups: Mapping[str, str]) -> list
         own = [
             one
             for name, at in sorted(members.items())
-            if (
-                one := _own(fit, name, estimate.theta[compared], [(residuals[k], derivatives[k]) for k in at])
-            )
+            if (one := _own(fit, name, estimate.theta[compared], [of_drives[k] for k in at]))
         ]
         sentences += _sentences(what, own, names, least)
     return sentences
 
 
-def _own(fit: Fit, name: str, theta: np.ndarray, parts: list[tuple[np.ndarray, np.ndarray]]) -> _Own | None:
-    """Own parameters of drives with residuals (n,) and derivatives (n, p) each; None for too short ones."""
-    seconds = sum(len(r) for r, _ in parts) / fit.n_y * fit.Ts
-    H = sum((J.T @ J for _, J in parts), np.zeros((len(theta),) * 2))
+def _own(fit: Fit, name: str, theta: np.ndarray, parts: list[_Sums]) -> _Own | None:
+    """Own parameters of drives; None for too short ones."""
+    products, slopes = (np.concatenate(x) for x in zip(*((p.products, p.slopes) for p in parts), strict=True))
+    H = products.sum(axis=0)
+    seconds = sum(p.samples for p in parts) / fit.n_y * fit.Ts
     if seconds < BLOCK_S * BLOCKS_AN_UNKNOWN * len(theta) or np.linalg.cond(H) > WORST_CONDITION:
         return None
     inverse = np.linalg.inv(H)
-    step = -inverse @ sum(J.T @ r for r, J in parts)
-    scores = []
-    for r, J in parts:
-        count = max(1, round(len(r) / fit.n_y * fit.Ts / BLOCK_S))
-        left = r + J @ step
-        scores += [part.sum(axis=0) for part in np.array_split(J * left[:, None], count)]
-    s = np.array(scores)
+    step = -inverse @ slopes.sum(axis=0)
+    s = slopes + products @ step
     spread = s.T @ s * len(s) / (len(s) - len(theta))
     return _Own(name, theta + step, np.diag(inverse @ spread @ inverse))
 

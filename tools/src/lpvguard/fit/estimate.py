@@ -13,7 +13,7 @@ matrix S is the spread of the scores over blocks of the drives. The errors hold 
 speed or drive, and allow for correlation that the noise model leaves.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,9 +21,10 @@ from scipy.optimize import least_squares
 
 from ..base.errors import InputError
 from ..drives.tables import Drive
+from ..vehicle.nominal import NominalModel
 from . import noise
 from .noise import Whitening
-from .stretches import judged_samples, stretches_of
+from .stretches import few_stretches, judged_samples, stretches_of
 from .unknowns import DELAY, Unknowns
 
 PASSES = 5
@@ -37,6 +38,8 @@ Coloured residuals are remembered longer, so the blocks of a plain fit are longe
 """
 WORSE = 1.3
 """Largest ratio of the remainders of a whitened and a plain fit."""
+PRECISE, ROUGH = 1e-7, 1e-4
+"""Share by which the least squares fall in the last step of a fit, and of its beginning."""
 SHORTEST_S = 2.0
 """Shorter stretches of judged speed are left out."""
 HOPELESS = 1e3
@@ -102,72 +105,97 @@ class Fit:
     def errors(self, theta: np.ndarray) -> list[np.ndarray]:
         """e = y - yhat of every drive, (N, n_y) each; theta (p,)."""
         model = self.unknowns.model(theta)
-        return [d.y - model.simulate(d.v, d.u, d.y[0]) for d in self.drives]
+        return [_error(model, d) for d in self.drives]
 
-    def _trim_responses(self, theta: np.ndarray) -> list[np.ndarray]:
-        """Change (N, n_y, n_u) of every drive's e per unit of trim."""
-        model, responses = self.unknowns.model(theta), []
-        for d in self.drives:
-            at_rest = model.simulate(d.v, d.u, d.y[0])
-            responses.append(
-                np.stack(
-                    [at_rest - model.simulate(d.v, d.u - unit, d.y[0]) for unit in np.eye(self.n_u)], axis=2
-                )
-            )
-        return responses
+    def _trim_response(self, model: NominalModel, d: Drive) -> np.ndarray:
+        """Change (N, n_y, n_u) of a drive's e per unit of trim."""
+        at_rest = model.simulate(d.v, d.u, d.y[0])
+        units = np.eye(self.n_u)
+        return np.stack([at_rest - model.simulate(d.v, d.u - unit, d.y[0]) for unit in units], axis=2)
 
-    def _whitened(self, signal: list[np.ndarray]) -> list[np.ndarray]:
-        """Whitened, scaled columns of every drive, outputs and stretches stacked, from (N, n_y) or (N,
-        n_y, n)."""
-        columns = []
-        for i, (x, pieces) in enumerate(zip(signal, self.pieces, strict=True)):
-            x = x.reshape(*x.shape[:2], -1)
-            parts = [w.filtered(x[s, j]) / w.sigma[i] for j, w in enumerate(self.whitening) for s in pieces]
-            columns.append(np.concatenate(parts) if parts else np.zeros((0, x.shape[2])))
-        return columns
+    def _whitened(self, i: int, x: np.ndarray) -> np.ndarray:
+        """Whitened, scaled columns of drive i, by output and stretch, of x (N, n_y) or (N, n_y, n)."""
+        x = x.reshape(*x.shape[:2], -1)
+        parts = [
+            w.filtered(x[s, j]) / w.sigma[i] for j, w in enumerate(self.whitening) for s in self.pieces[i]
+        ]
+        return np.concatenate(parts) if parts else np.zeros((0, x.shape[2]))
 
-    def residuals(self, theta: np.ndarray) -> list[np.ndarray]:
-        """Whitened residuals of every drive (n,), its trim projected out; theta (p,)."""
+    def _model(self, theta: np.ndarray) -> NominalModel | None:
+        """The model of theta (p,); None where it is unstable."""
         try:
-            errors = self._whitened(self.errors(theta))
+            return self.unknowns.model(theta)
         except InputError:
-            return [np.full(len(r), HOPELESS) for r in self._whitened([d.y for d in self.drives])]
+            return None
+
+    def _residual(self, i: int, model: NominalModel | None) -> np.ndarray:
+        """Whitened residuals (n,) of drive i, its trim projected out; HOPELESS without a model."""
+        drive = self.drives[i]
+        if model is None:
+            return np.full(len(self._whitened(i, drive.y)), HOPELESS)
+        e = self._whitened(i, _error(model, drive))
         if not self.own_trim:
-            return [e[:, 0] for e in errors]
-        trims = self._whitened(self._trim_responses(theta))
-        return [e[:, 0] - t @ _regressed(t, e)[:, 0] for e, t in zip(errors, trims, strict=True)]
+            return e[:, 0]
+        t = self._whitened(i, self._trim_response(model, drive))
+        return e[:, 0] - t @ _regressed(t, e)[:, 0]
 
-    def derivatives(self, theta: np.ndarray) -> list[np.ndarray]:
+    def residuals(self, theta: np.ndarray) -> Iterator[np.ndarray]:
+        """Whitened residuals of every drive (n,), its trim projected out; theta (p,)."""
+        model = self._model(theta)
+        return (self._residual(i, model) for i in range(len(self.drives)))
+
+    def derivatives(self, theta: np.ndarray) -> Iterator[np.ndarray]:
         """Derivatives of the residuals of every drive, (n, p), by central differences inside the ranges."""
-        columns: list[list[np.ndarray]] = []
-        for j, step in enumerate(self.unknowns.step):
-            ends = np.clip(theta[j] + np.array([-step, step]), self.unknowns.low[j], self.unknowns.high[j])
-            low, high = (self.residuals(np.r_[theta[:j], end, theta[j + 1 :]]) for end in ends)
-            columns.append([(b - a) / (ends[1] - ends[0]) for a, b in zip(low, high, strict=True)])
-        return [np.column_stack([column[i] for column in columns]) for i in range(len(self.drives))]
+        u, moved = self.unknowns, []
+        for j, step in enumerate(u.step):
+            ends = np.clip(theta[j] + np.array([-step, step]), u.low[j], u.high[j])
+            models = [self._model(np.r_[theta[:j], end, theta[j + 1 :]]) for end in ends]
+            moved.append((*models, ends[1] - ends[0]))
+        for i in range(len(self.drives)):
+            yield np.column_stack([(self._residual(i, b) - self._residual(i, a)) / w for a, b, w in moved])
 
-    def minimised(self, theta: np.ndarray) -> np.ndarray:
-        """Unknowns (p,) of least V near theta (p,), with the noise model fixed."""
-        span = self.unknowns.high - self.unknowns.low
-        inset = np.where(np.isfinite(span), 1e-6 * np.where(np.isfinite(span), span, 1.0), 0.0)
-        start = np.clip(theta, self.unknowns.low + inset, self.unknowns.high - inset)
+    def _reduced(self, theta: np.ndarray) -> np.ndarray:
+        """Residuals and derivatives of all drives, turned into a triangle (p + 1, p + 1) drive by drive.
+
+        An orthogonal transformation keeps norms and products, so least squares are the same. The first
+        column are the residuals, with their norm as its only entry.
+        """
+        size = len(theta) + 1
+        triangle = np.zeros((size, size))
+        for r, J in zip(self.residuals(theta), self.derivatives(theta), strict=True):
+            triangle = np.linalg.qr(np.vstack([triangle, np.column_stack([r, J])]), mode="r")
+        triangle[0] *= np.copysign(1.0, triangle[0, 0])
+        return triangle
+
+    def minimised(self, theta: np.ndarray, precision: float = PRECISE) -> np.ndarray:
+        """Unknowns (p,) of least V near theta (p,), with the noise model fixed.
+
+        It ends when V falls by less than ``precision``, as a share.
+        """
+        first = np.eye(len(theta) + 1)[0]
         return least_squares(
-            lambda x: np.concatenate(self.residuals(x)),
-            start,
-            lambda x: np.concatenate(self.derivatives(x)),
+            lambda x: first * np.sqrt(sum(r @ r for r in self.residuals(x))),
+            self.unknowns.inside(theta),
+            lambda x: self._reduced(x)[:, 1:],
             bounds=(self.unknowns.low, self.unknowns.high),
             x_scale="jac",
-            ftol=1e-7,
+            ftol=precision,
             xtol=1e-6,
             max_nfev=40,
         ).x
 
-    def plain(self, theta: np.ndarray) -> np.ndarray:
-        """Unknowns (p,) of least plain squares, from theta (p,) with the best delay."""
+    def begun(self, theta: np.ndarray) -> np.ndarray:
+        """Unknowns (p,) of least plain squares on few stretches, from theta (p,) with the best delay."""
+        few = few_stretches(self.unknowns.model(theta), self.drives)
+        fit = self if few is self.drives else Fit(self.unknowns, few)
+        return fit._plain(fit._with_delay(theta), ROUGH)
+
+    def _plain(self, theta: np.ndarray, precision: float) -> np.ndarray:
+        """Unknowns (p,) of least plain squares near theta (p,)."""
         self.pieces = self._pieces(theta)
         stretches = self._stretches(self.errors(theta))
         self.whitening = [noise.white([[np.ones(1)] for _ in drives]) for drives in stretches]
-        return self.minimised(self._with_delay(theta))
+        return self.minimised(theta, precision)
 
     def _with_delay(self, theta: np.ndarray) -> np.ndarray:
         """Theta with the best delay, of those a sample apart, when a gain is free."""
@@ -204,8 +232,11 @@ class Fit:
         if not self.own_trim:
             return errors
         trims, _ = self._trims(theta)
-        responses = self._trim_responses(theta)
-        return [e + t @ np.nan_to_num(d) for e, t, d in zip(errors, responses, trims, strict=True)]
+        model = self.unknowns.model(theta)
+        return [
+            e + self._trim_response(model, drive) @ np.nan_to_num(d)
+            for e, drive, d in zip(errors, self.drives, trims, strict=True)
+        ]
 
     def _trims(self, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Trim of every drive beside the common input_offset, and its standard error: (n_drives, n_u).
@@ -214,9 +245,10 @@ class Fit:
         """
         if not self.own_trim:
             return np.zeros((len(self.drives), 0)), np.zeros((len(self.drives), 0))
-        errors, responses = self._whitened(self.errors(theta)), self._whitened(self._trim_responses(theta))
+        model = self.unknowns.model(theta)
         trims, errors_of = [], []
-        for e, t in zip(errors, responses, strict=True):
+        for i, drive in enumerate(self.drives):
+            e, t = (self._whitened(i, x) for x in (_error(model, drive), self._trim_response(model, drive)))
             if not len(e):
                 trims.append(np.full(self.n_u, np.nan))
                 errors_of.append(np.full(self.n_u, np.nan))
@@ -228,9 +260,9 @@ class Fit:
         return np.array(trims), np.array(errors_of)
 
     def estimated(self, theta: np.ndarray) -> Estimate:
-        """Fit and noise model in turn, from theta (p,), until the fit rests."""
-        plain = theta = self.plain(theta)
-        white, pieces, least = self.whitening, self.pieces, self._left(plain)
+        """Fit and noise model in turn, from theta (p,) and what few stretches say, until the fit rests."""
+        plain = theta = self._plain(self.begun(theta), ROUGH)
+        least = self._left(plain)
         for _ in range(PASSES):
             self.pieces = self._pieces(theta)
             self.whitening = [noise.fitted(drives) for drives in self._stretches(self._trimmed_errors(theta))]
@@ -240,7 +272,7 @@ class Fit:
                 break
         taken = self._left(theta) > WORSE * least
         if taken:
-            theta, self.whitening, self.pieces = plain, white, pieces
+            theta = self._plain(plain, PRECISE)
             covariance = self._covariance(theta, COLOURED_BLOCKS)
         trims, trim_errors = self._trims(theta)
         if self.own_trim:
@@ -272,12 +304,13 @@ class Fit:
     def _covariance(self, theta: np.ndarray, blocks: int) -> np.ndarray:
         """Covariance (p, p) of the unknowns by the sandwich of blocks. Unknowns at an end of their range
         count as known."""
-        residuals, derivatives = self.residuals(theta), self.derivatives(theta)
         free = np.array([name not in self.unknowns.at_end(theta) for name in self.unknowns.names])
-        H = sum((J[:, free].T @ J[:, free] for J in derivatives), np.zeros((free.sum(),) * 2))
+        residuals = list(self.residuals(theta))
+        H = np.zeros((free.sum(),) * 2)
         length = max(1, sum(len(r) for r in residuals) // blocks)
         scores = []
-        for r, J in zip(residuals, derivatives, strict=True):
+        for r, J in zip(residuals, self.derivatives(theta), strict=True):
+            H += J[:, free].T @ J[:, free]
             count = max(1, round(len(r) / length))
             whole = J[:, free] * r[:, None]
             scores += [part.sum(axis=0) for part in np.array_split(whole, count)]
@@ -287,6 +320,11 @@ class Fit:
         covariance = np.zeros((len(theta),) * 2)
         covariance[np.ix_(free, free)] = inverse @ spread @ inverse
         return covariance
+
+
+def _error(model: NominalModel, drive: Drive) -> np.ndarray:
+    """e = y - yhat (N, n_y) of a drive."""
+    return drive.y - model.simulate(drive.v, drive.u, drive.y[0])
 
 
 def _regressed(columns: np.ndarray, target: np.ndarray) -> np.ndarray:

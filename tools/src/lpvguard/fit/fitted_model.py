@@ -39,6 +39,7 @@ from .estimate import Estimate, Fit
 from .plausible import DOUBT, require_plausible
 from .project_file import values_of, with_numbers
 from .quality import POOR_VAF, Quality, by_drive, by_speed
+from .recentre import Recentring, recentred
 from .suspicions import judged_beside, screened
 from .unknowns import DELAY, Unknowns
 
@@ -63,6 +64,7 @@ class FittedModel:
     differences : list of str, parameters that differ between drives or days
     outlook : str, what the recordings that calibrate allow, and a better split
     sha256 : dict[str, str], hash by drive
+    recentring : Recentring or None, where the common error should leave
     """
 
     project: Project
@@ -77,6 +79,7 @@ class FittedModel:
     differences: list[str]
     outlook: str
     sha256: dict[str, str]
+    recentring: Recentring | None = None
 
     def to_dict(self) -> dict:
         """Content of fit.json."""
@@ -111,6 +114,7 @@ class FittedModel:
             "findings": self.findings,
             "differences": self.differences,
             "outlook": self.outlook,
+            "recentring": self.recentring and self.recentring.to_dict(),
         }
 
 
@@ -119,6 +123,7 @@ def fit(
     folder: Path,
     progress: Callable[[str], None] = lambda _: None,
     accept_unusual: bool = False,
+    recentre: bool = False,
 ) -> FittedModel:
     """Fit a project's model to the bound-setting drives of a folder.
 
@@ -128,6 +133,7 @@ def fit(
     folder : Path, drives
     progress : Callable, reports progress
     accept_unusual : bool, accept a model that its kind of vehicle cannot have
+    recentre : bool, move the common error of the frames into the model where that pays
 
     Returns
     -------
@@ -163,7 +169,9 @@ def fit(
         raise error
     progress("fitting")
     runner = Fit(unknowns, screen.explained)
-    estimate = runner.estimated(screen.theta)
+    estimate, recentring = runner.estimated(screen.theta), None
+    if recentre:
+        estimate, recentring = recentred(estimate.unknowns, estimate, screen.explained)
     fitted = estimate.unknowns.project(estimate.theta)
     if not accept_unusual:
         require_plausible(fitted, _doubtful(estimate))
@@ -189,6 +197,7 @@ def fit(
             ]
         ),
         {e.name: artefacts.file_hash(e.path) for e in experiments},
+        recentring,
     )
 
 

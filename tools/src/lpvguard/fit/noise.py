@@ -28,7 +28,7 @@ class Whitening:
 
     def filtered(self, x: np.ndarray) -> np.ndarray:
         """A(q) of the columns of a stretch x (N, n); without its first m samples: (N - m, n)."""
-        return lfilter(self.a, [1.0], x, axis=0)[self.order :]
+        return lfilter(self.a, [1.0], x, axis=0)[self.order :] if self.order else x
 
 
 def white(stretches: list[list[np.ndarray]]) -> Whitening:

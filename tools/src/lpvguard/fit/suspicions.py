@@ -261,8 +261,9 @@ def _left(unknowns: Unknowns, theta: np.ndarray, drive: Drive) -> float:
 
 
 def _fitted(unknowns: Unknowns, drives: list[Drive]) -> np.ndarray | None:
+    """Parameters (p,) of least plain squares, of few stretches; None where nothing is judged."""
     try:
-        return Fit(unknowns, drives).plain(unknowns.start)
+        return Fit(unknowns, drives).begun(unknowns.start)
     except InputError:
         return None
 
@@ -324,7 +325,7 @@ def _require_no_common_fault(unknowns: Unknowns, drives: list[Drive], left: list
         _, then, _, reading = min(explaining)
         raise _error(", ".join(d.name for d in drives), reading, then, now)
     for d, x in zip(drives, left, strict=True):
-        error = _shift_of(unknowns, unknowns.start, d, x)
+        error = _shift_of(unknowns, unknowns.start, d, x) if x > SURE else None
         if error is not None:
             raise error
 

@@ -91,6 +91,12 @@ class Unknowns:
         """The nominal model with these values (p,) of the unknowns."""
         return TriedModel(self.project(theta))
 
+    def inside(self, theta: np.ndarray) -> np.ndarray:
+        """Theta (p,) a little inside the ranges, where a search may begin."""
+        span = self.high - self.low
+        inset = np.where(np.isfinite(span), 1e-6 * np.where(np.isfinite(span), span, 1.0), 0.0)
+        return np.clip(theta, self.low + inset, self.high - inset)
+
     def at_end(self, theta: np.ndarray) -> list[str]:
         """Names of the unknowns at an end of their range, except a delay of 0; ``theta`` (p,)."""
         width = np.where(np.isfinite(self.high - self.low), self.high - self.low, np.inf)

@@ -3,9 +3,10 @@ core."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -222,6 +223,25 @@ class Weights:
             inflation=float(inflation),
             silent=tuple(data.get("silent_bins", ())),
         )
+
+
+def use_of_weights(stored: Mapping[str, Any]) -> str:
+    """Say how far the weights lie above their bounds, and who uses which.
+
+    Parameters
+    ----------
+    stored : Mapping, as `Weights.to_dict` makes it
+
+    Returns
+    -------
+    str
+    """
+    worst = max(w["worst_ratio_db"] for key in ("W_delta", "W_w") for w in stored[key])
+    monitor = "the tabulated bounds of the healthy set" if "healthy" in stored else "the weights"
+    return (
+        f"the frame test uses {monitor}; certificate and synthesis use the weights, at most {worst:.2f} dB "
+        "above their bounds"
+    )
 
 
 def _require_stated(source: str, name: str, entry: dict, proved: Certificate) -> None:

@@ -12,7 +12,7 @@ from ...identify.change import ChangeTest
 from ...identify.energy import EnergyTest
 from ...identify.identification import DriveSet, StoredIdentification
 from ...identify.premise import premise
-from ...identify.weights import DC_STAND_IN
+from ...identify.weights import DC_STAND_IN, use_of_weights
 from ...identify.window_error import PERCENTILE, SPEEDS
 from ...replay.replayer import Replayer
 from ...vehicle.project import Project, Signal
@@ -142,6 +142,7 @@ def _rows(
         *([("energy test", _energy_words(stored.energy, project))] if stored.energy else []),
         *([("change test", _change_words(stored.change, project))] if stored.change else []),
         ("premise of every certificate", premise_of(stored)),
+        ("use of bounds and weights", use_of_weights(stored.weights)),
         (
             "final inflation of the weights",
             f"{stored.weights['inflation']:.6g}, the least factor with which {judge}",
