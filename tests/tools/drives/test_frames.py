@@ -190,10 +190,10 @@ def test_bins_too_high_for_the_core_name_the_highest_frequency(g80):
     frames = g80.frames.model_copy(update={"f_min_hz": 0.5, "f_max_hz": 5.0, "periods": 3})
     slow = g80.model_copy(update={"Ts_s": 0.04, "frames": frames})
     with pytest.raises(
-        InputError, match=r"lower f_max_hz to [0-9.]+ or less, or take more periods"
+        InputError, match=r"lower omega_max_radps to [0-9.]+ or less, or take more periods"
     ) as refused:
         Estimator.from_project(slow, NominalModel(slow))
-    highest = float(re.search(r"f_max_hz to ([0-9.]+)", str(refused.value))[1])
+    highest = float(re.search(r"radps to ([0-9.]+)", str(refused.value))[1]) / (2 * np.pi)
     fits = slow.model_copy(update={"frames": frames.model_copy(update={"f_max_hz": highest})})
     assert Estimator.from_project(fits, NominalModel(fits)).n_bins > 4
     longer = slow.model_copy(update={"frames": frames.model_copy(update={"periods": 8})})
@@ -276,7 +276,7 @@ def test_half_a_frame_is_longer_than_the_cores_latency_and_just_longer_is_enough
             assert f"{n_bins} bins and half frames of {half};" in str(refused.value)
             assert f"longer than {latency} samples" in str(refused.value)
             highest = 4 / (2 * (latency + 1) * g80.Ts_s)
-            assert f"lower f_max_hz to {highest:.3g} or less" in str(refused.value)
+            assert f"lower omega_max_radps to {2 * np.pi * highest:.3g} or less" in str(refused.value)
     assert min(seen) <= 0 < max(seen)
 
 

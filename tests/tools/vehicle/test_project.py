@@ -1,5 +1,6 @@
 """Project files: what is refused, and how it is said."""
 
+import tomllib
 from importlib import resources
 
 import numpy as np
@@ -7,7 +8,7 @@ import pytest
 
 from lpvguard.base.errors import InputError
 from lpvguard.vehicle.nominal import NominalModel
-from lpvguard.vehicle.project import NuCeiling, load_project, shipped_vehicles
+from lpvguard.vehicle.project import NuCeiling, load_project, parse_project, shipped_vehicles
 
 VEHICLES = resources.files("lpvguard.vehicle").joinpath("shipped")
 TEXT = VEHICLES.joinpath("g80.toml").read_text()
@@ -26,7 +27,9 @@ def test_every_shipped_vehicle_loads_and_is_stable(name):
         ('role = "output"', 'role = "scheduling"', "exactly one"),
         ("min = -0.8", "min = 0.9", "road_wheel_angle"),
         ('A = [["-1/T"]]', 'A = [["-1/T", 0]]', "model.A"),
-        ("f_max_hz = 3.2", "f_max_hz = 30.0", "half the sampling rate"),
+        ("omega_max_radps = 20.106193", "omega_max_radps = 190.0", "half the sampling rate"),
+        ("omega_max_radps = 20.106193", "omega_max_radps = 20.1\nf_max_hz = 3.2", "state one"),
+        ("omega_max_radps = 20.106193", 'omega_max_radps = "x"', "no frequency in rad/s"),
         ("confirm = 1 ", "confirm = 3 ", "confirm"),
         ("schema = 1", "schema = 2", "schema"),
         ("schema = 1", "schema = ", "TOML"),
@@ -108,3 +111,23 @@ def test_a_project_file_elsewhere_is_a_vehicle_too(tmp_path):
 def test_the_ceiling_is_log_linear_and_zero_at_dc():
     ceiling = NuCeiling(f_hz=[0.5, 2.0], nu=[0.1, 0.6])
     np.testing.assert_allclose(ceiling.at([0.0, 0.1, 0.5, 1.0, 2.0, 9.0]), [0.0, 0.1, 0.1, 0.35, 0.6, 0.6])
+
+
+def test_frequencies_in_hertz_and_in_radians_are_the_same_project():
+    in_radians = VEHICLES.joinpath("truck.toml").read_text()
+    in_hertz = (
+        in_radians.replace("omega_min_radps = 0.31415927", "f_min_hz = 0.05")
+        .replace("omega_max_radps = 12.566371", "f_max_hz = 2.0")
+        .replace("omega_radps = [4.3982297, 12.566371]", "f_hz = [0.7, 2.0]")
+    )
+    energy = "[energy_test]\n{} = [{}, {}]\n\n[frame_test]"
+    texts = [
+        text.replace("[frame_test]", energy.format(*band))
+        for text, band in (
+            (in_radians, ("band_radps", 0.62831853, 6.2831853)),
+            (in_hertz, ("band_hz", 0.1, 1.0)),
+        )
+    ]
+    assert texts[0] != texts[1]
+    one, other = (parse_project(tomllib.loads(text), "truck") for text in texts)
+    assert one == other and one.frames.f_min_hz == 0.05

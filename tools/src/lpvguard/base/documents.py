@@ -1,10 +1,12 @@
 """Read TOML files that people write and check them against pydantic models."""
 
 import tomllib
+from collections.abc import Mapping
 from importlib.resources.abc import Traversable
 from pathlib import Path
 from typing import Annotated, TypeVar
 
+import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from .errors import InputError
@@ -20,6 +22,46 @@ class StrictModel(BaseModel):
     """Frozen table of a TOML file that refuses unknown keys."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+def in_hertz(settings: object, keys: Mapping[str, str]) -> object:
+    """Convert the frequencies of a table from rad/s to Hz, with six digits.
+
+    Parameters
+    ----------
+    settings : object, the table; anything else stays
+    keys : Mapping, key in rad/s -> key in Hz
+
+    Returns
+    -------
+    object
+
+    Raises
+    ------
+    ValueError
+        If a frequency is no number, or stated in both units.
+
+    Examples
+    --------
+    >>> in_hertz({"omega_radps": [6.2831853, 12.566371]}, {"omega_radps": "f_hz"})
+    {'f_hz': [1.0, 2.0]}
+    """
+    if not isinstance(settings, dict):
+        return settings
+    changed = dict(settings)
+    for stated, key in keys.items():
+        if stated not in changed:
+            continue
+        if key in changed:
+            raise ValueError(f"{stated} and {key} are the same: state one")
+        value = changed.pop(stated)
+        try:
+            omega = np.asarray(value, float)
+        except (TypeError, ValueError):
+            raise ValueError(f"{stated}: {value!r} is no frequency in rad/s") from None
+        hertz = [float(f"{w / (2 * np.pi):.6g}") for w in omega.ravel()]
+        changed[key] = hertz if omega.ndim else hertz[0]
+    return changed
 
 
 def read_toml(source: Path | Traversable, what: str, where: object = None) -> dict:

@@ -161,7 +161,8 @@ class Estimator:
                 f"vehicle {project.name}",
                 "frames",
                 f"the highest bins hold {length[-1]} samples a frame",
-                f"at least {4 * settings.periods} and different lengths; lower f_max_hz or bins_per_decade",
+                f"at least {4 * settings.periods} and different lengths; lower omega_max_radps or "
+                "bins_per_decade",
             )
         latency = constant(
             "NLATENCY", {"NBINS": n_bins + 1, "NY": project.n_y, "NDELTA": project.n_delta}
@@ -173,7 +174,7 @@ class Estimator:
                 "frames",
                 f"{n_bins + 1} bins and half frames of {length[-1] // 2}",
                 f"half frames longer than {latency} samples, as the core spreads its work over samples: "
-                f"lower f_max_hz to {highest:.3g} or less, or take more periods a frame",
+                f"lower omega_max_radps to {2 * np.pi * highest:.3g} or less, or take more periods a frame",
             )
         return cls(
             project.Ts_s,
@@ -198,7 +199,8 @@ class Estimator:
             raise InputError(
                 f"vehicle {project.name}",
                 "frames.length_s",
-                f"{len(inside)} lines from f_min_hz {settings.f_min_hz:g} to f_max_hz {settings.f_max_hz:g}",
+                f"{len(inside)} lines from {2 * np.pi * settings.f_min_hz:.4g} to "
+                f"{2 * np.pi * settings.f_max_hz:.4g} rad/s",
                 f"more than the {model.n} unknowns of the transient; longer frames",
             )
         return cls(

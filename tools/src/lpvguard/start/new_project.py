@@ -454,7 +454,7 @@ def _with_highest_frequency(text: str, Ts: float, name: str) -> tuple[Project, s
     for f_max in (3.2, 2.5, 2.0, 1.6, 1.25, 1.0, 0.8):
         if f_max > 0.2 / Ts:
             continue
-        tried = text.replace("F_MAX", f"{f_max:g}").replace("F_RAD", f"{2 * np.pi * f_max:.3g}")
+        tried = text.replace("OMEGA_MAX", f"{2 * np.pi * f_max:.8g}")
         try:
             project = parse_project(tomllib.loads(tried), name)
             Estimator.from_project(project, NominalModel(project))
@@ -474,7 +474,7 @@ def _text(
     grid: tuple[float, float],
     excited: float,
 ) -> str:
-    """The project file without F_MAX.
+    """The project file without OMEGA_MAX.
 
     Length: one file, in its order.
     """
@@ -537,8 +537,8 @@ def _text(
         'estimator = "hann"',
         "periods = 3",
         "bins_per_decade = 6",
-        f"f_min_hz = {grid[0]:g}      # {2 * np.pi * grid[0]:.3g} rad/s",
-        "f_max_hz = F_MAX      # F_RAD rad/s: at most a fifth of the rate, and what the core can compute",
+        f"omega_min_radps = {2 * np.pi * grid[0]:.8g}",
+        "omega_max_radps = OMEGA_MAX      # at most a fifth of the rate, and what the core can compute",
         f"speed_tolerance = {grid[1]:g}      # within a frame",
         "",
         "[bounds]",

@@ -14,7 +14,7 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
 
-from ..base.documents import Fraction, Positive, StrictModel, checked, read_toml
+from ..base.documents import Fraction, Positive, StrictModel, checked, in_hertz, read_toml
 from ..base.errors import InputError
 from .design_settings import DesignSettings
 from .physics import KindName
@@ -194,6 +194,7 @@ class FrameSettings(StrictModel):
     periods : int, periods in a Hann frame
     bins_per_decade : int
     f_min_hz, f_max_hz : float, Hz
+        Project files state omega_min_radps and omega_max_radps in rad/s, of which six digits count.
     hop_per_frame : int, hops in a frame
     speed_tolerance : float, relative change of speed within a frame
     """
@@ -206,6 +207,11 @@ class FrameSettings(StrictModel):
     f_max_hz: Positive
     hop_per_frame: Literal[2] = 2
     speed_tolerance: Fraction = 0.15
+
+    @model_validator(mode="before")
+    @classmethod
+    def _frequencies(cls, settings: object) -> object:
+        return in_hertz(settings, {"omega_min_radps": "f_min_hz", "omega_max_radps": "f_max_hz"})
 
     @model_validator(mode="after")
     def _length(self) -> FrameSettings:
@@ -220,11 +226,17 @@ class NuCeiling(StrictModel):
     Attributes
     ----------
     f_hz : list of float, Hz
+        Project files state omega_radps in rad/s.
     nu : list of float, upper limit at f_hz
     """
 
     f_hz: list[Positive]
     nu: list[Positive]
+
+    @model_validator(mode="before")
+    @classmethod
+    def _frequencies(cls, settings: object) -> object:
+        return in_hertz(settings, {"omega_radps": "f_hz"})
 
     @model_validator(mode="after")
     def _shape(self) -> NuCeiling:
@@ -355,11 +367,17 @@ class EnergyTestSettings(StrictModel):
     ----------
     band_hz : tuple of float or None, Hz
         Two to seven increasing corner frequencies, by default the frames' f_min_hz and f_max_hz.
+        Project files state band_radps in rad/s.
     memory_s : float or None, s, time constant of the forgetting, by default one period of f_min_hz
     """
 
     band_hz: Annotated[tuple[Positive, ...], Field(min_length=2, max_length=7)] | None = None
     memory_s: Positive | None = None
+
+    @model_validator(mode="before")
+    @classmethod
+    def _frequencies(cls, settings: object) -> object:
+        return in_hertz(settings, {"band_radps": "band_hz"})
 
 
 class ChangeTestSettings(StrictModel):
@@ -620,7 +638,7 @@ class Project(StrictModel):
         if not self.model.speed_min_mps < self.model.speed_max_mps:
             raise ValueError("model: speed_min_mps must be below speed_max_mps")
         if not self.frames.f_min_hz < self.frames.f_max_hz < 0.5 / self.Ts_s:
-            raise ValueError("frames: f_min_hz < f_max_hz < half the sampling rate must hold")
+            raise ValueError("frames: lowest < highest frequency < half the sampling rate must hold")
         corners = (*(self.energy_test.band_hz or ()), 0.5 / self.Ts_s)
         if not all(low < high for low, high in pairwise(corners)):
             raise ValueError("energy_test.band_hz: corners must rise and stay below half the sampling rate")
