@@ -172,6 +172,20 @@ TEST_CASE("the actuator may be off by its tolerance, and by no more", "[unit][ec
     CHECK(waiting().ecu.deviations > 0U);
 }
 
+TEST_CASE("an actuator without a measurement is not held against the demand", "[unit][ecu][REQ-ECU-14]") {
+    Bench bench = engaged_bench();
+    bench.brakes_work = false;
+    bench.run(5);
+    REQUIRE(bench.ecu.deviation_square > 0.0F);
+    bench.send_guard_in = false;  // two periods are no cause yet
+    bench.ecu.signals.measured = NAN;
+    bench.run(2);
+    REQUIRE(bench.live());
+    CHECK(bench.engaged());
+    CHECK(bench.ecu.deviation_square == 0.0F);
+    CHECK_FALSE(bench.ecu.actuator_failed);
+}
+
 TEST_CASE("limits and priorities that make no sense are refused", "[unit][ecu][REQ-ECU-6]") {
     const int which = GENERATE(range(0, 15));  // those from 7 on that are good: 7 and 8
     const auto u_max = static_cast<float>(lpvg_control_coeff.reals.u_max[0][0]);

@@ -103,13 +103,13 @@ void keep(lpvg_ecu_t& self) {
     self.sum = lpvguard::sum_of_words(self.kept);
 }
 
-// Whether every demand of the controller is the kept one.
 bool demands_kept(const lpvg_ecu_t& self) {
-    bool same = true;
     for (std::size_t i = 0; i < LPVG_NU; ++i) {
-        same = same && self.control.u[i] >= self.kept.demand[i] && self.control.u[i] <= self.kept.demand[i];
+        if (!(self.control.u[i] >= self.kept.demand[i] && self.control.u[i] <= self.kept.demand[i])) {
+            return false;
+        }
     }
-    return same;
+    return true;
 }
 
 bool kept_well(const lpvg_ecu_t& self) { return differences(self, std::make_index_sequence<n_kept>{}) == 0U; }
@@ -463,7 +463,6 @@ bool allowed(lpvg_ecu_t& self, bool live) {
     return self.permitted;
 }
 
-// The largest change of a demand in a step.
 Real largest_change(const lpvg_ecu_t& self, std::size_t input, uint32_t step) {
     const uint32_t longest_us = self.kept.period_us + self.kept.period_us / 2U;
     return self.kept.rate_max[input] * (static_cast<Real>(step < longest_us ? step : longest_us) * Real(1e-6));
@@ -482,13 +481,14 @@ void run_down(lpvg_ecu_t& self, uint32_t step) {
 
 // Whether the controller's demands are within the kept limits. Rounding aside they always are.
 bool demand_well(const lpvg_ecu_t& self, uint32_t step) {
-    bool well = true;
     for (std::size_t i = 0; i < LPVG_NU; ++i) {
         const Real u = self.control.u[i], change = u - self.kept.demand[i];
         const Real most = Real(1.001) * largest_change(self, i, step), top = Real(1.001) * self.kept.u_max[i];
-        well = well && u <= top && u >= -top && change <= most && change >= -most;
+        if (!(u <= top && u >= -top && change <= most && change >= -most)) {
+            return false;
+        }
     }
-    return well;
+    return true;
 }
 
 void run_controller(lpvg_ecu_t& self, bool live, uint32_t step) {

@@ -1,5 +1,6 @@
 """The ECU's loop on a car's own bus: in `sim` and as an FMU, with another car's FMU as the vehicle."""
 
+import subprocess
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,7 +15,7 @@ from bus_master import Node, frames, transmit
 from lpvguard.base.errors import InputError
 from lpvguard.can.logs import EXTENDED, read_log
 from lpvguard.control.controller_export import export_chosen
-from lpvguard.core.compiled import VERDICTS
+from lpvguard.core.compiled import VERDICTS, library_root
 from lpvguard.extras.fmu.package import ecu_fmu, plant_fmu
 from lpvguard.extras.loop.foreign_plant import ForeignPlant
 from lpvguard.extras.loop.sim import Simulator, can_fault_table, load_scenario, steady_scenario
@@ -208,6 +209,25 @@ def test_plain_signals_close_the_loop_with_the_nominal_car(version, vehicle, sim
     ecu.step(20.0)
     ecu.restore(saved)
     assert ecu.state() == saved
+
+
+def test_the_exported_c_is_strict_c99_without_a_warning(vehicle, tmp_path):
+    words = [
+        "gcc",
+        "-std=c99",
+        "-pedantic",
+        "-Wall",
+        "-Wextra",
+        "-Wconversion",
+        "-Wdouble-promotion",
+        "-Wshadow",
+        "-Werror",
+    ]
+    sources = sorted(vehicle.glob("*.c"))
+    assert len(sources) == 8
+    for source in sources:
+        folders = ["-I", library_root() / "include", "-I", vehicle]
+        subprocess.run([*words, *folders, "-c", source, "-o", tmp_path / "one.o"], check=True)
 
 
 def test_what_does_not_fit_is_named(vehicle, simulator, steered_car, lpvguard, tmp_path):

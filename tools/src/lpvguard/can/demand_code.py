@@ -41,7 +41,7 @@ def demand_files(demands: list[Sent], n_u: int) -> dict[str, str]:
 
 
 def enclosed(name: str, declarations: str) -> str:
-    """C header ``lpvg_NAME.h`` around its declarations."""
+    """C header of the files ``name`` around its declarations."""
     guard = f"LPVG_{name.upper()}_H"
     return f"""{BANNER}#ifndef {guard}
 #define {guard}

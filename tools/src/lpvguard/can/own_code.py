@@ -123,7 +123,9 @@ static void protect(lpvg_can_own_t* self, uint8_t index, uint16_t data_id, int64
     if (checksum_is_right != 0) {
         self->counter[index] = next;
     }
-    (void)lpvg_can_e2e_protect(frame, data_id, &next);
+    if (lpvg_can_e2e_protect(frame, data_id, &next) != lpvg_status_ok) {
+        frame->dlc = 0u;
+    }
     if (checksum_is_right == 0) {
         frame->data[0] ^= 0xFFu;
     }
@@ -169,7 +171,8 @@ def _take(index: int, m: CarriedMessage) -> str:
             middle = f"0x{1 << (c.ours.length - 1):X}u"
             value = f"((({raw_value(c.sign)}) != 0u) ? ({middle} - {value}) : ({middle} + {value}))"
         body.append(f"    message.{c.ours.name} = ({kind})({value}{flip});\n")
-    body.append(f"    (void){name}_pack(&message, frame);\n")
+    packed = f"{name}_pack(&message, frame) != lpvg_status_ok"
+    body.append(f"    if ({packed}) {{\n        frame->dlc = 0u;\n    }}\n")
     if m.ours.e2e is None:
         return "".join([*lines, "    (void)self;\n    (void)id;\n    (void)length;\n", *body, "}\n"])
     declared, assigned, right = checked_lines(m)
