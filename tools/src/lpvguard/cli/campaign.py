@@ -8,8 +8,8 @@ import typer
 
 from ..base import artefacts
 from ..vehicle.stored_settings import require_settings
+from .campaign_tables import print_campaign
 from .shared import Coefficients, Jobs, JsonOut, Out, Scheduler, app, emit, progress_bar, stored_with_drives
-from .tables import print_campaign
 
 
 @app.command(
