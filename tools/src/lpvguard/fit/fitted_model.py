@@ -192,7 +192,7 @@ def fit(
         differences(runner, estimate, {e.name: e.group for e in experiments if e.group}),
         "; ".join(
             [
-                outlook(len({e.recording for e in experiments if e.name not in setting | skipped})),
+                outlook(_calibrating(experiments, setting | skipped)),
                 *_advice(experiments, setting, drives),
             ]
         ),
@@ -214,6 +214,12 @@ def _require_split(project: Project, experiments: list[Experiment], folder: Path
         f"no drive has split {' or '.join(project.data.bound_split)}",
         f"some that set the bounds and some that calibrate; {proposed}",
     )
+
+
+def _calibrating(experiments: list[Experiment], others: set[str]) -> int:
+    """Number of recordings that calibrate: of them no drive is among ``others``."""
+    away = {e.recording for e in experiments if e.name in others}
+    return len({e.recording for e in experiments} - away)
 
 
 def _advice(experiments: list[Experiment], setting: set[str], drives: list[Drive]) -> list[str]:
