@@ -264,8 +264,7 @@ def print_evidence(result: Identification, further: list[str]) -> None:
 
 
 def print_tests(result: Identification) -> None:
-    """Who uses which bounds; thresholds of energy and change test, what they promise, and sizes; what the
-    diagnosis cannot name."""
+    """Print who uses which bounds, thresholds, promises and sizes of the tests, and what has no name."""
     from ..identify.weights import use_of_weights
 
     energy, change = result.energy, result.change

@@ -26,8 +26,8 @@ def stretches_of(mask: np.ndarray, shortest: int) -> list[slice]:
 def few_stretches(model: NominalModel, drives: list[Drive]) -> list[Drive]:
     """Choose stretches of about FEW samples; the list itself where all drives together have no more.
 
-    The drives are at equal steps in the order of their mean speeds. Of each, the stretch is the one in which
-    judged outputs spread most, and the time before it in which the initial state is forgotten.
+    The drives are at equal steps in the order of their mean speeds. The stretch of
+    a drive is where its judged outputs spread most. It begins with the time that forgets the initial state.
     """
     if sum(len(d.t) for d in drives) <= FEW:
         return drives
