@@ -163,12 +163,8 @@ class Fit:
         size = len(theta) + 1
         triangle = np.zeros((size, size))
         for r, J in zip(self.residuals(theta), self.derivatives(theta), strict=True):
-<<<<<<< HEAD
-            triangle = np.asarray(np.linalg.qr(np.vstack([triangle, np.column_stack([r, J])]), mode="r"))
-=======
             whole = np.vstack([triangle, np.column_stack([r, J])])
             triangle = np.asarray(np.linalg.qr(whole, mode="r"), float)
->>>>>>> fitted
         triangle[0] *= np.copysign(1.0, triangle[0, 0])
         return triangle
 
