@@ -35,7 +35,7 @@ using Catch::Matchers::ContainsSubstring;
 using lpvguard_lcm::control_t;
 using lpvguard_lcm::status_t;
 
-const std::int64_t kTick = Control::tick_us;
+constexpr std::int64_t kTick = 10'000;  // of the truck
 constexpr std::int64_t kSecond = 1'000'000;
 
 constexpr const char* kSteady = R"(

@@ -253,7 +253,7 @@ speed_mps = 10.0
     };
     fails("x = 1", "plant: missing");
     fails("[plant]\n", "plant.speed_profile: missing");
-    fails(replaced(good, "[[0, 12], [30.0, 17.0]]", "[[0, 40]]"), "expected 3 .. 30");
+    fails(replaced(good, "[[0, 12], [30.0, 17.0]]", "[[0, 140]]"), "expected 0.1 .. 100");
     fails(replaced(good, "[[0, 12], [30.0, 17.0]]", "[[5, 12], [5, 13]]"), "plant.speed_profile time");
     fails(replaced(good, "[[0, 12], [30.0, 17.0]]", "[12]"), "expected [[time s, speed m/s], ...]");
     fails(replaced(good, "load_ratio", "load"), "plant.variation.load: unknown key");

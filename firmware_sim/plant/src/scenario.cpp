@@ -162,7 +162,7 @@ public:
             knot.speed_mps = number(*pair->get(1), file_, path(name));
             const double after = knots.empty() ? 0.0 : knots.back().time_s + Plant::step_s;
             require_in_range(file_, path(name) + " time", knot.time_s, after, 1e9);
-            require_in_range(file_, path(name) + " speed", knot.speed_mps, 0.1, 100.0);  // of the truck: Plant
+            require_in_range(file_, path(name) + " speed", knot.speed_mps, 0.1, 100.0);  // of any vehicle; Plant has the truck's
             knots.push_back(knot);
         }
         table_.erase(name);

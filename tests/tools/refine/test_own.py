@@ -6,7 +6,7 @@ import pyarrow.parquet as parquet
 import pytest
 
 from lpvguard.base.errors import InputError
-from lpvguard.drives.tables import Experiment, read_drive
+from lpvguard.drives.tables import Experiment, list_experiments, read_drive
 from lpvguard.extras.fleet.scores import DriveEstimate
 from lpvguard.extras.refine.lineage import OWN
 from lpvguard.extras.refine.own import RISK, OwnGain, OwnGains, mean_changes
@@ -28,7 +28,7 @@ def test_own_gains_are_relative_to_the_known_drives(tmp_path):
 
 
 def test_drives_of_a_vehicle_with_gains_are_divided_by_them(g80, synthetic, tmp_path):
-    known = sorted(synthetic.glob("*.csv"))[0]
+    known = list_experiments(synthetic)[0].path
     lines = known.read_text().splitlines()
     cells = zip(lines[0].split(","), lines[3].split(","), strict=True)
     lines[3] = ",".join("" if name == "r" else cell for name, cell in cells)

@@ -11,8 +11,8 @@ import pytest
 from lpvguard.base import artefacts
 from lpvguard.base.errors import InputError
 from lpvguard.core.compiled import Core, shipped_vehicle
+from lpvguard.drives.excitation import excited_samples
 from lpvguard.drives.faults import Fault, inject
-from lpvguard.drives.frames import excited_samples
 from lpvguard.drives.tables import list_experiments, read_drive
 from lpvguard.evaluate.detection import Injection
 from lpvguard.evaluate.evaluation import evaluate

@@ -36,8 +36,6 @@ from ..base.runs import runs
 from ..vehicle.nominal import NominalModel
 from ..vehicle.project import FrameSettings, Project
 
-EXCITED_WINDOW_S = 10.0
-
 
 def not_for_the_core(project: Project) -> InputError:
     """Make the error for a project of the plain DFT: the core computes Hann frames only.
@@ -299,31 +297,3 @@ class Estimator:
             native.kernels("hann").lpvg_hann(*sizes, *arrays)
             spectra.append(every if len(every) == len(near) else every[near - first])
         return spectra[0] if len(spectra) == 1 else np.concatenate(spectra)
-
-
-def excited_samples(u: np.ndarray, Ts: float, threshold: float) -> np.ndarray:
-    """Mark the samples where an input is excited.
-
-    Parameters
-    ----------
-    u : ndarray (N, n_u), input units
-    Ts : float, s
-    threshold : float, least standard deviation over the surrounding 10 s [input unit]
-
-    Returns
-    -------
-    ndarray (N,) of bool
-
-    References
-    ----------
-    THEORY 11.
-    """
-    half = round(EXCITED_WINDOW_S / Ts / 2)
-    low = np.maximum(np.arange(len(u)) - half, 0)
-    high = np.minimum(np.arange(len(u)) + half + 1, len(u))
-    centred = u - u.mean(axis=0)  # the difference of running sums would cancel against a large mean
-    sums, squares = (np.vstack([np.zeros(u.shape[1]), np.cumsum(x, axis=0)]) for x in (centred, centred**2))
-    count = (high - low)[:, None]
-    mean = (sums[high] - sums[low]) / count
-    variance = (squares[high] - squares[low]) / count - mean**2
-    return (np.sqrt(np.maximum(variance, 0.0)) > threshold).any(axis=1)

@@ -19,8 +19,8 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 from ..base.rates import number_words
 from ..core.compiled import Core, Run
+from ..drives.excitation import excited_samples
 from ..drives.faults import Fault, inject
-from ..drives.frames import excited_samples
 from ..drives.tables import Drive
 from ..vehicle.project import Project
 from .calibration import RATED, ROUNDING, RateTarget, Recordings, block_of, calibrate

@@ -249,7 +249,7 @@ def identify(
         confirmation=confirmation,
         diagnosis=run.diagnosis(change, chosen),
         isolation=run.isolation(chosen),
-        visibility=run.visibility(weights, calibration, pools, change, chosen),
+        visibility=run.visibility(weights, calibration, pools, change),
         spectra=run.spectra,
         bound_drives=[e.name for e in chosen.setting],
         calibration_drives=list(calibration.scores),

@@ -103,6 +103,7 @@ class OverDrives:
         self._seen = np.full((2, self.reader.project.n_y), np.nan)
         self._met: list[Excitation] = []
         self._pooled: Excitation | None = None
+        self._narrow: Excitation | None = None
         self._judged_s: dict[str, float] = {}
         self._maxima: dict[str, dict[str, list[float]]] = {}
         self.origins = Origins()
@@ -322,6 +323,9 @@ class OverDrives:
             pools = self._pools(bounds, recordings, drives)
             pools = pools.calibrated(scores, alpha, recordings, aim("pools"))
             test = test.calibrated(energy_scores, alpha, recordings, aim("energy"))
+            narrow = partial(narrow_pass, self.reader, change)
+            excitations = self.over("visibility", narrow, [*drives.setting, *drives.others])
+            self._narrow = reduce(lambda one, other: Excitation.joined([one, other]), excitations)
             change = change.calibrated(change_scores, alpha, recordings, aim("change"))
             return (
                 inflated,
@@ -395,7 +399,6 @@ class OverDrives:
         calibration: Calibration,
         pools: Pools | None,
         change: ChangeTest | None,
-        drives: Chosen,
     ) -> dict:
         """Content of visibility.json: the smallest visible errors in each speed cell and bin."""
         estimator, factor = self.reader.estimator, weights.inflation
@@ -403,11 +406,8 @@ class OverDrives:
         others = []
         if pools is not None and self._pooled is not None:
             others.append((self._pooled, pools.calibration.carried))
-        if change is not None:
-            every = [*drives.setting, *drives.others]
-            narrow = self.over("visibility", partial(narrow_pass, self.reader, change), every)
-            joined = reduce(lambda one, other: Excitation.joined([one, other]), narrow)
-            others.append((joined, change.calibration.carried))
+        if change is not None and self._narrow is not None:
+            others.append((self._narrow, change.calibration.carried))
         return visibility(
             estimator.omega,
             estimator.speed_range,

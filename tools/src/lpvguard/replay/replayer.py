@@ -14,7 +14,8 @@ from ..base.runs import runs
 from ..can.logs import Frames, is_raw_table, read_log, stem
 from ..can.play import frames_of_drive, values_of_drive
 from ..core.compiled import CAUSES, CHANGE_PARTS, REASONS, STATUSES, VERDICTS, Core, Run, band_names
-from ..drives.frames import Estimator, excited_samples
+from ..drives.excitation import excited_samples
+from ..drives.frames import Estimator
 from ..drives.tables import TABLE_SUFFIXES, Drive, read_drive, require_units, speed_of_missing
 from ..vehicle.nominal import NominalModel
 from ..vehicle.project import Project

@@ -5,7 +5,7 @@ from html import escape
 import numpy as np
 
 from ...core.compiled import REASONS, VERDICTS
-from ...drives.frames import excited_samples
+from ...drives.excitation import excited_samples
 from ...drives.tables import Drive
 from ...engine.validation import s1
 from ...fit.quality import of_drive
