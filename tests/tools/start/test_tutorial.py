@@ -98,7 +98,7 @@ def test_a_car_whose_drives_differ_as_a_fault_would_is_silent(race_car, lpvguard
     limit = np.array([c["limit"] for c in seen["at_percentile"]], float)
     ours = np.array([c["gain_error"] for c in seen["at_percentile"]], float)
     assert (limit <= 0.3).sum() <= 2 and np.isfinite(limit).sum() > 15
-    assert not (ours <= 0.3).any()
+    assert not (ours[:, 1:] <= 0.3).any()  # the change test sees steady turns
 
 
 @pytest.mark.long("10 min: packages installed, and every command in a process of its own")
