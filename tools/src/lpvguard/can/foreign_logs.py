@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 
 from ..base.errors import InputError, InputWarning
+from ..base.optional import read_by_library
 from .log_types import Series, Table
 from .packed import unpacked
 
@@ -52,18 +53,8 @@ def read_foreign(path: Path, schema: Path | None) -> Table:
     """Read a log that `reader_of` knows; raise InputError if its library is missing or it is unreadable."""
     reader = reader_of(path)
     assert reader is not None
-    try:
+    with read_by_library(path, "a whole log of this form"):
         table = reader(path, schema)
-    except InputError:
-        raise
-    except ImportError as error:
-        raise InputError(
-            path, "", f"reading it needs the package {error.name}", "pip install 'lpvguard[sources]'"
-        ) from None
-    except Exception as error:  # each library has exceptions of its own
-        raise InputError(
-            path, "", f"cannot be read ({type(error).__name__}: {error})", "a whole log of this form"
-        ) from None
     if not table.series:
         raise InputError(path, "", "holds no number", "messages with numbers")
     return table

@@ -4,7 +4,7 @@ import io
 from pathlib import Path
 from typing import Any
 
-from ..base.errors import InputError
+from ..base.optional import read_by_library
 from .text_tables import TextTable, read_text_table
 
 SHEET_SUFFIXES = {".xlsx", ".xlsm", ".xls", ".ods"}
@@ -27,19 +27,11 @@ def read_sheet(data: bytes, path: Path) -> TextTable:
     InputError
         If python-calamine is missing, the file cannot be read, or no sheet holds a table.
     """
-    try:
+    with read_by_library(path, "a whole spreadsheet"):
         from python_calamine import CalamineWorkbook
-    except ImportError as error:
-        raise InputError(
-            path, "", f"reading it needs the package {error.name}", "pip install 'lpvguard[sources]'"
-        ) from None
-    try:
+
         book = CalamineWorkbook.from_filelike(io.BytesIO(data))
         sheets = [book.get_sheet_by_index(k).to_python() for k in range(len(book.sheet_names))]
-    except Exception as error:  # the library has exceptions of its own
-        raise InputError(
-            path, "", f"cannot be read ({type(error).__name__}: {error})", "a whole spreadsheet"
-        ) from None
     rows = max(sheets, key=len, default=[])
     return read_text_table("\n".join("\t".join(map(_text, row)) for row in rows).encode(), path)
 

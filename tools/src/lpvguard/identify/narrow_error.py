@@ -1,4 +1,4 @@
-"""What the change test shows of a gain error in one bin alone (THEORY 7.4)."""
+"""Excitation of the change test by a gain error in one bin alone (THEORY 7.4)."""
 
 from __future__ import annotations
 

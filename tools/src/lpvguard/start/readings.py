@@ -165,7 +165,7 @@ def decided(
 
 @dataclass(frozen=True)
 class _Measured:
-    """What columns say, and what is known: ``largest`` speed, steering, and speed times yaw rate."""
+    """Quantities of the columns, and what is known: ``largest`` speed, steering, and speed times yaw rate."""
 
     turn: SteadyTurn
     largest: tuple[float, float, float]

@@ -265,7 +265,7 @@ class Simulator:
             )
         self.project = parse_project(manifest["project"], str(self.folder / artefacts.MANIFEST))
         self.own_bus = (self.folder / REST_HEADER).is_file()
-        """Whether the loop is on the car's own bus."""
+        """True if the loop is on the car's own bus."""
         codec = self.folder / OF_BUS[0]
         if not codec.is_file():
             expected = "a vehicle whose demand our CAN message or [can.demand] carries, exported anew"
