@@ -10,6 +10,7 @@
 #include <utility>
 #include <vector>
 
+#include "isolation_head.hpp"
 #include "lpvguard/isolation.h"
 
 namespace {
@@ -180,12 +181,7 @@ private:
         lpvg_isolation_table_t t{};
         lpvg_isolation_words_t& w = t.words;
         lpvg_isolation_reals_t& r = t.reals;
-        w.magic = LPVG_ISOLATION_MAGIC;
-        w.schema = LPVG_ISOLATION_SCHEMA;
-        w.real_bytes = sizeof(Real);
-        const uint32_t sizes[6] = {LPVG_NX, LPVG_NU, LPVG_NY, LPVG_DELAY, LPVG_NCELLS, LPVG_NVARYING};
-        std::copy(sizes, sizes + 6, w.sizes);
-        w.sample_period_us = lpvg_coeff.words.sample_period_us;
+        isolation_test::set_head(w);
         w.window_us = 1000000U * window_s;
         w.half = half;
         w.parameters = 1U;

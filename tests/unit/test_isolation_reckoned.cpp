@@ -9,6 +9,7 @@
 #include <random>
 #include <vector>
 
+#include "isolation_head.hpp"
 #include "lpvguard/isolation.h"
 #include "monitor/acceptance.hpp"
 
@@ -76,12 +77,7 @@ public:
     explicit Window(uint32_t seed) : random_(seed) {
         lpvg_isolation_words_t& w = table.words;
         lpvg_isolation_reals_t& r = table.reals;
-        w.magic = LPVG_ISOLATION_MAGIC;
-        w.schema = LPVG_ISOLATION_SCHEMA;
-        w.real_bytes = sizeof(Real);
-        const uint32_t sizes[6] = {LPVG_NX, LPVG_NU, LPVG_NY, LPVG_DELAY, LPVG_NCELLS, LPVG_NVARYING};
-        std::copy(sizes, sizes + 6, w.sizes);
-        w.sample_period_us = lpvg_coeff.words.sample_period_us;
+        isolation_test::set_head(w);
         w.window_us = 20000000U;
         w.half = 5U;
         w.parameters = 2U;
