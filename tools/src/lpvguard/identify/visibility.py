@@ -9,7 +9,7 @@ this is the order of |Z|. For several outputs it does not depend on their units.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -127,8 +127,8 @@ def visibility(
     """
     edges = _edges(speed_range)
 
-    def cells(which: str, percentile: float) -> list[dict]:
-        rows, listed = getattr(met, which), []
+    def cells(rows_of: Callable[[Excitation], Rows], percentile: float) -> list[dict]:
+        rows, listed = rows_of(met), []
         for c in range(SPEED_CELLS):
             cell = len(omega), c, percentile
             chosen = _chosen(rows, *cell)
@@ -136,7 +136,7 @@ def visibility(
             gain = [None if k in silent else g for k, g in enumerate(gain)]
             limit: list[float | None] = [None] * len(omega)
             for excitation, level in others:
-                shown = getattr(excitation, which)
+                shown = rows_of(excitation)
                 of_cell = _chosen(shown, *cell)
                 seen = zip(gain, _gains(shown, of_cell, level), strict=True)
                 gain = [min((g for g in both if g is not None), default=None) for both in seen]
@@ -154,8 +154,8 @@ def visibility(
         "sampled_frames": SAMPLED_FRAMES,
         "omega_rad_s": omega.tolist(),
         "gain_error_floor": (threshold * inflation * W_delta.min(axis=1)).tolist(),
-        "at_percentile": cells("sample", PERCENTILE),
-        "at_strongest": cells("strongest", 100),
+        "at_percentile": cells(lambda excitation: excitation.sample, PERCENTILE),
+        "at_strongest": cells(lambda excitation: excitation.strongest, 100),
     }
 
 
