@@ -195,17 +195,26 @@ private:
 int generate(Arguments arguments) {
     const std::string path = arguments.text("-o");
     Experiment experiment(arguments, 60.0);
+    const std::string further = arguments.text("--further-column", "");
+    const bool with_bank = further == "bank";
+    if (!further.empty() && !with_bank) {
+        throw UsageError("--further-column '" + further + "': expected bank");
+    }
     arguments.done();
     const auto plant =
         std::make_unique<Plant>(experiment.parameters, experiment.scenario.drive, experiment.seed, experiment.scenario.faults);
     ResultFile result(path);
-    std::fputs("t,v,dp,r,delta\n", result.handle());
+    std::fprintf(result.handle(), "t,v,dp,r,delta%s\n", with_bank ? ",bank" : "");
     for (std::int64_t k = 0; k < experiment.samples; ++k) {
         // Row k holds the sensor values at t, and the demand from t to the next row.
         const double demand_bar = experiment.program.next();
         const Sensors& seen = plant->sensors();
-        std::fprintf(result.handle(), "%.9g,%.9g,%.9g,%.9g,%.9g\n", static_cast<double>(k) * sample_s, seen.speed_mps, demand_bar,
+        std::fprintf(result.handle(), "%.9g,%.9g,%.9g,%.9g,%.9g", static_cast<double>(k) * sample_s, seen.speed_mps, demand_bar,
                      seen.yaw_rate_radps, seen.steering_wheel_rad / experiment.parameters.steering_ratio);
+        if (with_bank) {
+            std::fprintf(result.handle(), ",%.9g", plant->truth().bank_rad);
+        }
+        std::fputc('\n', result.handle());
         for (int i = 0; i < Plant::steps_per_sample; ++i) {
             plant->step(demand_bar);
         }

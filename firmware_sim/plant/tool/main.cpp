@@ -27,6 +27,7 @@ generate             write one experiment: t,v,dp,r,delta every 10 ms, as the se
     --speed 12           [m/s], held; or --scenario FILE, whose [plant] table says it, with variations and faults
     --program pulses     pulses | telegraph | multisine | sweep | zero
     --amplitude-low 0.5 --amplitude-high 2   [bar]; high is at least low
+    --further-column bank                    generate only: the road's bank [rad], as a sensor without error would see it
     --duration 60        [s]
     --seed 1
 

@@ -46,6 +46,19 @@ def test_an_experiment_repeats_to_the_byte_and_its_seed_matters(tmp_path, progra
     assert paths[0].read_text().startswith("t,v,dp,r,delta\n0,")
 
 
+def test_the_bank_is_a_further_column_that_moves_the_truck(tmp_path):
+    options = "--speed", 17, "--duration", 200, "--program", "zero"
+    plain = generate(tmp_path / "a.csv", *options)
+    banked = generate(tmp_path / "b.csv", *options, "--further-column", "bank")
+    assert (tmp_path / "b.csv").read_text().startswith("t,v,dp,r,delta,bank\n")
+    np.testing.assert_array_equal(banked[:, :5], plain)
+    bank, r = banked[100:-100, 5], banked[200:, 3]
+    assert 0.002 < bank.std() < 0.01
+    assert np.corrcoef(bank, r)[0, 1] < -0.4, "a second later the truck turns to the low side"
+    refused = run("generate", "-o", tmp_path / "c.csv", "--further-column", "wind")
+    assert refused.returncode == 2 and "expected bank" in refused.stderr
+
+
 def test_the_columns_mean_what_the_header_says(tmp_path):
     t, v, dp, r, delta = generate(tmp_path / "a.csv", "--speed", 12, "--duration", 300).T
     assert np.allclose(np.diff(t), 0.01)

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..vehicle.project import Project
+from .tables import Drive
+
 EXCITED_WINDOW_S = 10.0
 
 
@@ -33,3 +36,19 @@ def excited_samples(u: np.ndarray, Ts: float, threshold: float) -> np.ndarray:
     mean = (sums[high] - sums[low]) / count
     variance = (squares[high] - squares[low]) / count - mean**2
     return (np.sqrt(np.maximum(variance, 0.0)) > threshold).any(axis=1)
+
+
+def excited(drive: Drive, project: Project) -> np.ndarray:
+    """Mark the samples of a drive where a commanded input is excited. Disturbances do not count.
+
+    Parameters
+    ----------
+    drive : Drive
+    project : Project
+
+    Returns
+    -------
+    ndarray (N,) of bool
+    """
+    u = drive.u[:, : len(project.actuators)]
+    return excited_samples(u, project.Ts_s, project.frame_test.excited_std)

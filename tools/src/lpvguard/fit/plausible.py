@@ -20,7 +20,7 @@ def require_plausible(project: Project, doubtful: Sequence[Project] = ()) -> Non
     constant. ``doubtful``: the model with one unknown each at an end of its confidence interval. Where one of
     them is within a range, the drives do not exclude it."""
     kind = project.fit.kind
-    if kind is None or [s.unit for s in (*project.inputs, *project.outputs)] != ["rad", "rad/s"]:
+    if kind is None or [s.unit for s in (*project.actuators, *project.outputs)] != ["rad", "rad/s"]:
         return
     ranges = KINDS[kind]
     judged = {

@@ -19,7 +19,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 from ..base.rates import number_words
 from ..core.compiled import Core, Run
-from ..drives.excitation import excited_samples
+from ..drives.excitation import excited
 from ..drives.faults import Fault, inject
 from ..drives.tables import Drive
 from ..vehicle.project import Project
@@ -124,7 +124,7 @@ def judged_drive(
     for row, (t_s, x) in zip(maxima, series, strict=True):
         np.maximum.at(row, block_of(t_s), x)
     judged = whole.frames.judged(len(drive.t), t0, Ts, length)
-    clock = Ts * np.cumsum(judged & excited_samples(drive.u, Ts, project.frame_test.excited_std))
+    clock = Ts * np.cumsum(judged & excited(drive, project))
     firsts = _instants(clock, project) if planted else []
     longest = project.evaluation.found_within_s
     reached = np.zeros((len(firsts), len(ERRORS), len(series), DELAYS))

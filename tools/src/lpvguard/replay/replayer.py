@@ -14,7 +14,7 @@ from ..base.runs import runs
 from ..can.logs import Frames, is_raw_table, read_log, stem
 from ..can.play import frames_of_drive, values_of_drive
 from ..core.compiled import CAUSES, CHANGE_PARTS, REASONS, STATUSES, VERDICTS, Core, Run, band_names
-from ..drives.excitation import excited_samples
+from ..drives.excitation import excited
 from ..drives.frames import Estimator
 from ..drives.tables import TABLE_SUFFIXES, Drive, read_drive, require_units, speed_of_missing
 from ..vehicle.nominal import NominalModel
@@ -424,7 +424,7 @@ class Replayer:
 
     def excited(self, drive: Drive) -> np.ndarray:
         """(N,) True where the drive is excited (THEORY 11)."""
-        return excited_samples(drive.u, self.project.Ts_s, self.project.frame_test.excited_std)
+        return excited(drive, self.project)
 
     def summarise_file(
         self, path: Path, channel: str | None = None, with_series: bool = False

@@ -117,7 +117,8 @@ class Signal(StrictModel):
     Attributes
     ----------
     name, column, unit : str
-    role : str, scheduling, input, output or gate
+    role : str, scheduling, input, disturbance, output or gate
+        A disturbance is a measured input of the model that nobody commands, such as the road's bank.
     positive : str, direction of positive values
     min, max : float, physical limits in ``unit``; the limits of a gate bound the use of the model
         A sample outside the limits counts as missing.
@@ -128,7 +129,7 @@ class Signal(StrictModel):
     """
 
     name: Annotated[str, Field(pattern=NAME)]
-    role: Literal["scheduling", "input", "output", "gate"]
+    role: Literal["scheduling", "input", "disturbance", "output", "gate"]
     column: str
     unit: str
     positive: str
@@ -607,6 +608,10 @@ class Project(StrictModel):
             raise ValueError(
                 f"signals: 1 to 2 inputs and 1 to 4 outputs are supported, got {self.n_u} and {self.n_y}"
             )
+        if self.inputs[0].role == "disturbance":
+            raise ValueError(
+                f"signals: {self.inputs[0].name} is a disturbance; an input must stand before it"
+            )
         n = len(self.model.A)
         shapes = {"A": (n, n), "B": (n, self.n_u), "C": (self.n_y, n)}
         for key, (rows, cols) in shapes.items():
@@ -646,8 +651,8 @@ class Project(StrictModel):
 
     def _require_own_bus(self, bus: OwnBus) -> None:
         """Raise an error unless every message of ``[can]`` carries a signal of the table or a demand."""
-        if bus.demand and sorted(bus.demand) != sorted(s.name for s in self.inputs):
-            names = ", ".join(s.name for s in self.inputs)
+        if bus.demand and sorted(bus.demand) != sorted(s.name for s in self.actuators):
+            names = ", ".join(s.name for s in self.actuators)
             raise ValueError(f"can.demand: {', '.join(bus.demand)}, expected every input: {names}")
         used = {s.can.message for s in self.signals if s.can is not None}
         used |= {place.message for place in bus.demand.values()}
@@ -669,6 +674,11 @@ class Project(StrictModel):
         if self.gates:
             names = ", ".join(s.name for s in self.gates)
             raise ValueError(f"design: the ECU does not read gates, so {names} would have no effect")
+        if len(self.actuators) < self.n_u:
+            raise ValueError(
+                f"design: a controller cannot command the disturbance {self.inputs[-1].name}; design on a "
+                "project file without it"
+            )
         outputs = {s.name: s.unit for s in self.outputs}
         if design.controlled is not None and design.controlled not in outputs:
             raise ValueError(
@@ -695,7 +705,12 @@ class Project(StrictModel):
 
     @property
     def inputs(self) -> list[Signal]:
-        """Inputs u, in the order of the file."""
+        """Inputs u of the model, commanded ones and measured disturbances, in the order of the file."""
+        return [s for s in self.signals if s.role in ("input", "disturbance")]
+
+    @property
+    def actuators(self) -> list[Signal]:
+        """Inputs that are commanded, in the order of the file."""
         return self.of_role("input")
 
     @property

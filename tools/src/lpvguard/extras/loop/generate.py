@@ -118,6 +118,7 @@ def truck_drive(path: Path, **options: object) -> None:
 
 def _truck(project: Project, folder: Path, seed: int, tell: Callable[[str], None]) -> list[fixture.Row]:
     rows = []
+    bank = {"further_column": "bank"} if "bank" in {s.column for s in project.inputs} else {}
     for index, d in enumerate(_truck_plan()):
         name = f"{d.programme}_{index:02d}_{d.speed:g}mps".replace(".", "p")
         tell(name)
@@ -129,6 +130,7 @@ def _truck(project: Project, folder: Path, seed: int, tell: Callable[[str], None
             amplitude_high=d.amplitudes[1],
             duration=d.duration,
             seed=seed * 1000 + index,
+            **bank,
         )
         rows.append((name, d.split, d.programme))
     return rows

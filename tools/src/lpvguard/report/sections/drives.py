@@ -5,7 +5,7 @@ from html import escape
 import numpy as np
 
 from ...core.compiled import REASONS, VERDICTS
-from ...drives.excitation import excited_samples
+from ...drives.excitation import excited
 from ...drives.tables import Drive
 from ...engine.validation import s1
 from ...fit.quality import of_drive
@@ -84,7 +84,7 @@ def visit_plain(visits: Visits, stored: StoredIdentification, drives: DriveSet, 
     low, high = model.speed_range
     third = (high - low) / 3
     speed = drive.v[span].mean()
-    if excited_samples(drive.u, project.Ts_s, project.frame_test.excited_std)[span].any():
+    if excited(drive, project)[span].any():
         if speed <= low + third:
             visits.slow = visits.slow.or_longer(drive.name, span)
         elif speed >= high - third:
