@@ -11,7 +11,7 @@ checked Δ with I − M Δ singular. Every upper bound has a proof: scalings, an
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import scipy.linalg as sl
@@ -65,9 +65,9 @@ class MuBounds:
     upper: float
     lower: float
     omega: float
-    delta: np.ndarray | None
-    proof: tuple[Part, ...]
-    size: float
+    delta: np.ndarray | None = field(repr=False)
+    proof: tuple[Part, ...] = field(repr=False)
+    size: float = field(repr=False)
 
     @property
     def gap(self) -> float:
@@ -130,7 +130,7 @@ def mu_bounds(M: np.ndarray, blocks: Sequence[Block], rtol: float = 1e-8) -> MuB
         lower, delta, proof = real.lower, real.delta, (part,)
         if real.upper < upper:
             upper, proof = real.upper, real.proof
-    bounds = MuBounds(upper, min(lower, upper), 0.0, delta, proof, size)
+    bounds = MuBounds(upper, float(min(lower, upper)), 0.0, delta, proof, size)
     _require(prover, bounds, 0.0, 0.0, M, np.zeros(M.shape))
     return bounds
 
@@ -237,7 +237,7 @@ def _complex_interval(
     upper, _, left, right, _ = upper_bound(M, structure, POINT_RTOL)
     lower, delta = lower_bound(M, structure, left, right, upper * (1 - POINT_RTOL), INTERVAL_STARTS)
     proof = tuple(Part(EMPTY, c.low, c.high, c.point) for c in bound.cells)
-    return MuBounds(bound.upper, lower, bound.omega, delta, proof, scaled_size(M, structure))
+    return MuBounds(bound.upper, float(lower), bound.omega, delta, proof, scaled_size(M, structure))
 
 
 def _require(
