@@ -54,24 +54,10 @@ def _fields(value: Any) -> list[tuple[str, Any]]:
 
 
 def encoded(value: Any, arrays: list[np.ndarray], *, identify: bool = False) -> Any:
-    """Return the JSON form of a value; its arrays are appended to ``arrays``.
+    """Return the JSON form of a value; its arrays of any shape (...,) are appended to ``arrays``.
 
-    Parameters
-    ----------
-    value : Any
-    arrays : list of ndarray, of any shape (...,)
-    identify : bool, default False
-        The form names the value and is not decoded: ``identity`` of an object stands for it, functions are
-        allowed.
-
-    Returns
-    -------
-    Any, JSON-able
-
-    Raises
-    ------
-    TypeError
-        If the codec does not know the value.
+    With ``identify`` the form only names the value: ``identity`` of an object stands for it, and functions
+    are allowed. Raises TypeError if the codec does not know the value.
     """
     again = partial(encoded, arrays=arrays, identify=identify)
     if type(value) in _SCALARS:
@@ -103,22 +89,7 @@ def encoded(value: Any, arrays: list[np.ndarray], *, identify: bool = False) -> 
 
 
 def decoded(form: Any, arrays: list[np.ndarray]) -> Any:
-    """Return the value of a form of `encoded`.
-
-    Parameters
-    ----------
-    form : Any
-    arrays : list of ndarray, of any shape (...,)
-
-    Returns
-    -------
-    Any
-
-    Raises
-    ------
-    ValueError
-        If the form is none of `encoded`.
-    """
+    """Return the value of a form of `encoded`, whose ``arrays`` have any shape (...,); else raise ValueError."""
     if not isinstance(form, dict):
         return form
     ((kind, content),) = form.items()
@@ -150,21 +121,7 @@ def decoded(form: Any, arrays: list[np.ndarray]) -> Any:
 
 
 def digest_of(value: Any) -> str:
-    """Return the SHA-256 of a value as `encoded` identifies it.
-
-    Parameters
-    ----------
-    value : Any
-
-    Returns
-    -------
-    str
-
-    Raises
-    ------
-    TypeError
-        If the codec does not know the value.
-    """
+    """Return the SHA-256 of a value as `encoded` identifies it; raise TypeError for an unknown kind of value."""
     arrays: list[np.ndarray] = []
     sha = hashlib.sha256(json.dumps(encoded(value, arrays, identify=True)).encode())
     for array in arrays:

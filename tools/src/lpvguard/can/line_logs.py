@@ -42,22 +42,9 @@ def form_of(text: str) -> re.Pattern[str] | None:
 
 
 def read_lines(path: Path, text: str, form: re.Pattern[str]) -> Frames:
-    """Read the frames of a log.
+    """Read the frames of a log, whose lines have the ``form`` that `form_of` found.
 
-    Parameters
-    ----------
-    path : Path, named in errors
-    text : str, its content
-    form : Pattern, of its lines, as ``form_of`` finds it
-
-    Returns
-    -------
-    Frames
-
-    Raises
-    ------
-    InputError
-        If most lines are no frame, a frame has no time, or its length is not that of its bytes.
+    Raises InputError if most lines are no frame, a frame has no time, or its length is not that of its bytes.
     """
     lines = [(n, line) for n, line in enumerate(text.splitlines(), start=1) if not _HEADS.match(line)]
     frames = [(n, match.groupdict()) for n, line in lines if (match := form.fullmatch(line))]

@@ -10,21 +10,7 @@ from .log_types import EXTENDED, FD_BYTES, LATEST_S, Frames, Series, Table
 
 
 def read_mf4(path: Path) -> Frames | Table:
-    """Read an MF4 file.
-
-    Parameters
-    ----------
-    path : Path
-
-    Returns
-    -------
-    Frames or Table
-
-    Raises
-    ------
-    InputError
-        If the file cannot be read.
-    """
+    """Read an MF4 file; raise InputError if it cannot be read."""
     try:
         from asammdf import MDF
     except ImportError:

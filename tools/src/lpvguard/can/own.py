@@ -222,20 +222,9 @@ class Sent:
 
 
 def demand_messages(project: Project) -> list[Sent]:
-    """List the messages of a vehicle's own bus that carry its demands.
+    """List the messages of a vehicle's own bus that carry its demands, as can.demand places them.
 
-    Parameters
-    ----------
-    project : Project, with can.demand
-
-    Returns
-    -------
-    list of Sent
-
-    Raises
-    ------
-    InputError
-        If the database lacks a message or signal, or a signal cannot be sent.
+    Raises InputError if the database lacks a message or signal, or a signal cannot be sent.
     """
     assert project.can is not None
     where, path = f"vehicle {project.name}, can.demand", project.can.dbc
@@ -259,18 +248,7 @@ def demand_messages(project: Project) -> list[Sent]:
 
 
 def sensor_messages(project: Project, bus: CarBus, signals: Sequence[Signal]) -> list[Sent]:
-    """List the messages of a vehicle's own bus that carry its measured signals.
-
-    Parameters
-    ----------
-    project : Project
-    bus : CarBus, of these signals
-    signals : sequence of Signal
-
-    Returns
-    -------
-    list of Sent, whose elements are ``signals``
-    """
+    """List the messages of a vehicle's own bus that carry its measured ``signals``, with these as elements."""
     where = f"vehicle {project.name}"
     sent: list[Sent] = []
     for m in bus.messages:

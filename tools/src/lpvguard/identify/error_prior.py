@@ -188,13 +188,8 @@ class OutputSums:
     ) -> tuple[np.ndarray, np.ndarray, float]:
         """Sums with the deviations of drives and groups integrated out.
 
-        Parameters
-        ----------
-        drive, group : (DIRECTIONS,) variances; ``group`` is None where drives have no groups.
-
-        Returns
-        -------
-        gram (p, p), cross (p,), and the term of the deviations in the log likelihood.
+        ``drive`` and ``group`` (DIRECTIONS,) are variances; ``group`` is None where drives have no groups.
+        Returns gram (p, p), cross (p,), and the term of the deviations in the log likelihood.
         """
         U, c, A = self.drive_gram, self.drive_cross, self.own
         gram, cross, logs = self._without(self.gram, self.cross, U, c, A, drive)

@@ -119,19 +119,10 @@ class Shift:
 def proved_at(
     M: np.ndarray, moved: np.ndarray, structure: Structure, slack: float, nearby: PointBound | None
 ) -> PointBound | None:
-    """Find scalings that prove μ(M) < 1.
+    """Find scalings that prove μ(M) < 1 for M (Σcols, Σrows); None where no scalings prove it.
 
-    Parameters
-    ----------
-    M : ndarray, shape (Σcols, Σrows)
-    moved : ndarray, shape (Σcols, Σrows), rounding of the entries of M
-    structure : Structure
-    slack : float, the search for scalings ends at a bound this far below 1
-    nearby : PointBound or None, scalings to try first
-
-    Returns
-    -------
-    PointBound, or None where no scalings prove the bound
+    ``moved`` (Σcols, Σrows) is the rounding of the entries of M. The search ends at a bound ``slack`` below
+    1. It tries the scalings ``nearby`` first.
     """
     if not np.isfinite(M).all():
         return None
@@ -191,11 +182,8 @@ class Prover:
     def advance(self, part: Part, beta: float) -> tuple[Part | None, list[Part], float]:
         """Prove one cell of ``part`` at level ``beta``.
 
-        Returns
-        -------
-        proved : Part, or None where no scalings prove a cell
-        rest : list of Part, parts that remain to be proved
-        omega : float, frequency [rad/s] of the search for scalings
+        Returns the proved cell (None where no scalings prove one), the parts that remain, and the frequency
+        [rad/s] of the search for scalings.
         """
         shift = Shift(self.structure, part.box, 1 / beta)
         centre, M = self._centre(part), None

@@ -173,16 +173,7 @@ def _merge(lineage: Lineage, accepted: list[DriveDecision], divided: Evidence, f
 
 
 def compared(before: stage.StoredIdentification, after: stage.StoredIdentification) -> dict[str, Any]:
-    """Compare two identifications of the same frames.
-
-    Parameters
-    ----------
-    before, after : StoredIdentification
-
-    Returns
-    -------
-    dict, a pair [before, after] by name; bounds by bin
-    """
+    """Compare two identifications of the same frames: a pair [before, after] by name; bounds by bin."""
     both = before, after
     omega = after.estimator.omega
     tests = {

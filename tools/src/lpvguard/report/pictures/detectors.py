@@ -75,16 +75,7 @@ def time_to_find(faults: list[dict], allowed_s: float) -> Figure:
 
 @picture
 def confirmation_tradeoff(confirmation: Confirmation) -> Figure:
-    """Draw the smallest gain error found in time, and the delay of a larger one, over the rate of alarms.
-
-    Parameters
-    ----------
-    confirmation : Confirmation
-
-    Returns
-    -------
-    Figure
-    """
+    """Draw the smallest gain error found in time, and the delay of a larger one, over the rate of alarms."""
     figure = new_figure(8.2, 3.2)
     panels = figure.subplots(1, 2, sharex=True)
     labels = ("smallest gain error found in time", f"s until {confirmation.shown:.2g} is found")
