@@ -89,7 +89,10 @@ def encoded(value: Any, arrays: list[np.ndarray], *, identify: bool = False) -> 
 
 
 def decoded(form: Any, arrays: list[np.ndarray]) -> Any:
-    """Return the value of a form of `encoded`, whose ``arrays`` have any shape (...,); else raise ValueError."""
+    """Return the value of a form of `encoded`, whose ``arrays`` have any shape (...,).
+
+    Raises ValueError for another form.
+    """
     if not isinstance(form, dict):
         return form
     ((kind, content),) = form.items()
@@ -121,7 +124,7 @@ def decoded(form: Any, arrays: list[np.ndarray]) -> Any:
 
 
 def digest_of(value: Any) -> str:
-    """Return the SHA-256 of a value as `encoded` identifies it; raise TypeError for an unknown kind of value."""
+    """Return the SHA-256 of a value as `encoded` identifies it; raise TypeError for an unknown kind."""
     arrays: list[np.ndarray] = []
     sha = hashlib.sha256(json.dumps(encoded(value, arrays, identify=True)).encode())
     for array in arrays:

@@ -85,9 +85,11 @@ def read_lines(path: Path, text: str, form: re.Pattern[str]) -> Frames:
 
 
 class _Clock:
-    """Times [s] of a log's lines, across new begins of its clock; ``relative``: each counts from the last.
+    """Clock of a log, which gives the times [s] of its lines, also where it begins anew.
 
-    ``part_s``: s that the last number of a time of day counts; some tools write no leading zeros."""
+    With ``relative``, each time counts from the previous line. The last number of a time of day counts in
+    ``part_s`` [s], because some tools write no leading zeros.
+    """
 
     def __init__(self, relative: bool, part_s: float):
         self._relative, self._part_s = relative, part_s

@@ -69,8 +69,8 @@ class Carried:
 class CarriedMessage:
     """Message of the car, the catalogue message that carries it, and the places of checksum and counter.
 
-    ``checksum_name`` is None for a message without a checksum. ``counters`` is the number of values of the
-    counter. ``any_priority`` marks a J1939 group.
+    ``checksum_name`` is None for a message without a checksum. ``counters`` is the number of values that the
+    counter takes. ``any_priority`` marks a J1939 group.
     """
 
     car: CarMessage
@@ -248,7 +248,7 @@ def demand_messages(project: Project) -> list[Sent]:
 
 
 def sensor_messages(project: Project, bus: CarBus, signals: Sequence[Signal]) -> list[Sent]:
-    """List the messages of a vehicle's own bus that carry its measured ``signals``, with these as elements."""
+    """List the messages of a vehicle's own bus that carry ``signals``, with these as elements."""
     where = f"vehicle {project.name}"
     sent: list[Sent] = []
     for m in bus.messages:
@@ -307,7 +307,7 @@ def _carried(
 ) -> CarriedMessage:
     """Make message ``number`` of the catalogue with the signals ``names`` of ``car``, in this order.
 
-    ``both_signs``: signals of quantities that have both signs.
+    ``both_signs`` names signals of quantities that have both signs.
     """
     place = f"message {car.name}"
     period_ms = settings.period_ms or car.cycle_time

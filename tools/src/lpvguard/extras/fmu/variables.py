@@ -255,8 +255,10 @@ def own_inputs(project: Project) -> list[Variable]:
 
 
 def terminal_variables(period_s: float, *, after_reception: bool) -> list[Variable]:
-    """Return the four variables of a CAN terminal (FMI-LS-BUS). ``after_reception``: what the unit sends
-    depends on what it receives at the same instant."""
+    """Return the four variables of a CAN terminal (FMI-LS-BUS).
+
+    With ``after_reception``, the unit answers at the instant at which it receives.
+    """
     return [
         Variable("CAN.Rx_Data", "received operations", 400, "input", "binary", start="", clock=401),
         Variable("CAN.Rx_Clock", "operations arrive", 401, "input", "clock"),

@@ -83,7 +83,7 @@ class OwnGains:
         return artefacts.to_json(asdict(self))
 
     def joined(self, vehicle: str, first: Estimates) -> OwnGains:
-        """Own gains with a further vehicle; ``first``: estimates of the drives learnt first of it.
+        """Add a vehicle, whose first learnt drives have the estimates ``first``.
 
         Raises InputError for gains beyond MOST.
         """

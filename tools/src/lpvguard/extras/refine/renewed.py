@@ -207,7 +207,7 @@ def compared(before: stage.StoredIdentification, after: stage.StoredIdentificati
 
 
 def drawn(project: Project, result: dict[str, Any]) -> str:
-    """Draw the bounds of both identifications; ``result``: of `compared`. Returns an SVG."""
+    """Draw the bounds of both identifications that `compared` returns, as an SVG."""
     sets = {name: {b: np.array(x) for b, x in result[key].items()} for key, name in SETS.items()}
     return standalone(sets_side_by_side("bounds", np.array(result["omega_rad_s"]), sets, project.outputs))
 
