@@ -262,6 +262,7 @@ def _compile(
     compiler: tuple[str, ...] | None = None,
     first: Callable[[], Path | None] | None = None,
 ) -> Path:
+    """Compile sources to a cached file; ``first`` makes a header that is included before each of them."""
     paths = [Path(s).resolve() for s in sources]
     includes = [Path(p).resolve() for p in include_dirs]
     missing = [str(p) for p in paths if not p.is_file()]

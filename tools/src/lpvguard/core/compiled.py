@@ -177,7 +177,7 @@ EIGEN_PREFIXES = ("/usr", "/usr/local", "/opt/homebrew")
 
 
 def eigen_include() -> str:
-    """Find the folder of Eigen 3 in the system or in the package cmeel-eigen; raise NativeError without it."""
+    """Find the folder of Eigen 3 in the system or in the package cmeel-eigen, else raise NativeError."""
     if shutil.which("pkg-config"):
         answer = subprocess.run(
             ["pkg-config", "--variable=includedir", "eigen3"], capture_output=True, text=True, check=False
