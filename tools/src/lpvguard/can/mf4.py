@@ -88,7 +88,6 @@ def _mf4_signals(mdf) -> Table:
                 if signal.invalidation_bits is not None:
                     value[np.asarray(signal.invalidation_bits, bool)] = np.nan
                 series.setdefault(
-                    channel.name,
-                    Series(_mf4_time(signal.timestamps), value, signal.unit or ""),
+                    channel.name, Series(_mf4_time(signal.timestamps), value, signal.unit or "")
                 )
     return Table(series)

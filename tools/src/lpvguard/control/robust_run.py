@@ -139,11 +139,7 @@ def run(
     delta = None
     if plant.blocks:
         delta = StateSpace(
-            case.delta.A,
-            case.delta.B,
-            size / case.size * case.delta.C,
-            size / case.size * case.delta.D,
-            dt,
+            case.delta.A, case.delta.B, size / case.size * case.delta.C, size / case.size * case.delta.D, dt
         )
     closed = lft(_perturbed(plant, delta), controller)
     gain = closed.response([case.frequency])[0]

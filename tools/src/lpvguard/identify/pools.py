@@ -130,12 +130,7 @@ class PoolNeeds:
 
 
 def needs_of(
-    e: Experiment,
-    frames: Iterable[FrameSet],
-    v: np.ndarray,
-    estimator: Estimator,
-    sizes: PoolSizes,
-    n_y: int,
+    e: Experiment, frames: Iterable[FrameSet], v: np.ndarray, estimator: Estimator, sizes: PoolSizes, n_y: int
 ) -> PoolNeeds:
     """Return what the frames of a drive with the speed ``v`` (N,) [m/s] need as bounds."""
     K, way = estimator.n_bins, np.concatenate([[0.0], np.cumsum(v)])

@@ -196,11 +196,7 @@ def _variable_2(parent: xml.Element, variable: Variable) -> None:
         xml.SubElement(scalar, "Enumeration", declaredType=variable.kind)
 
 
-_TYPES = {
-    "integer": ("Integer", "UInt32"),
-    "boolean": ("Boolean", "Boolean"),
-    "string": ("String", "String"),
-}
+_TYPES = {"integer": ("Integer", "UInt32"), "boolean": ("Boolean", "Boolean"), "string": ("String", "String")}
 """Types of FMI 2.0 and of FMI 3.0."""
 
 

@@ -188,14 +188,8 @@ def compared(before: stage.StoredIdentification, after: stage.StoredIdentificati
         "omega_rad_s": omega,
         "nu": [s.bounds["nu"] for s in both],
         "B_w": [s.bounds["B_w"] for s in both],
-        "certificate": {
-            "W_delta": [W for W, _ in at_bins],
-            "B_w": [B for _, B in at_bins],
-        },
-        "frame_test": {
-            "W_delta": [W for W, _ in of_frames],
-            "B_w": [B for _, B in of_frames],
-        },
+        "certificate": {"W_delta": [W for W, _ in at_bins], "B_w": [B for _, B in at_bins]},
+        "frame_test": {"W_delta": [W for W, _ in of_frames], "B_w": [B for _, B in of_frames]},
         "silent_bins": [list(s.fitted.silent) for s in both],
         "thresholds": {test: [c.carried for c in calibrations] for test, calibrations in tests.items()},
         "alpha": {test: [c.alpha for c in calibrations] for test, calibrations in tests.items()},
