@@ -210,11 +210,8 @@ def refused_values(project: Project, values: Mapping[str, np.ndarray]) -> list[s
 class Sent:
     """Message of the car with values of a vector, such as the demands of a controller.
 
-    Attributes
-    ----------
-    message : CarriedMessage
-    signals : list of (list of Signal, int, float)
-        Signals whose sum carries an element, its index, and the factor from element to bus value.
+    ``signals`` holds the signals whose sum carries an element, its index, and the factor from element to bus
+    value.
     """
 
     message: CarriedMessage

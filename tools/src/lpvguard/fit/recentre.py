@@ -38,12 +38,9 @@ FEWEST_FRAMES = 3
 
 @dataclass(frozen=True)
 class Recentring:
-    """Relative errors of the frames, medians.
+    """Median relative errors of the frames: of the fitted unknowns, and of recentred ones on drives left out.
 
-    Attributes
-    ----------
-    fitted, left_out : float, of the fitted unknowns, and of recentred ones on drives that were left out
-    taken : bool, whether recentred unknowns are taken
+    ``taken`` tells whether recentred unknowns are taken.
     """
 
     fitted: float

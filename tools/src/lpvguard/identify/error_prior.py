@@ -280,12 +280,9 @@ def _inner(A: np.ndarray, variance: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Hyperparameters:
-    """Most probable hyperparameters and their spread.
+    """Most probable hyperparameters ``x`` (H,), logarithms of ratios to SIZES, and their spread.
 
-    Attributes
-    ----------
-    x : (H,) logarithms of ratios to SIZES.
-    root : (H, H) matrix whose product with its transpose is their covariance.
+    ``root`` (H, H) times its transpose is their covariance.
     """
 
     x: np.ndarray

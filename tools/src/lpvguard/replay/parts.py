@@ -70,13 +70,7 @@ def alarms_begin(verdict: np.ndarray, alarming: bool = False) -> tuple[np.ndarra
 
 
 class PartNamer:
-    """Names parts after the alarms of drives.
-
-    Parameters
-    ----------
-    project : Project, with ``isolation``
-    isolation : Isolation
-    """
+    """Names parts after the alarms of drives, for a project with ``isolation``."""
 
     def __init__(self, project: Project, isolation: Isolation):
         self.project, self.isolation = project, isolation

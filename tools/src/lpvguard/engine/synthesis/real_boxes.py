@@ -74,11 +74,8 @@ class ParameterBox:
 class Shift:
     """Transformation of a loop with Δ into a loop with the Δ̃ of one box.
 
-    Parameters
-    ----------
-    structure : Structure
-    box : ParameterBox, of the parameters of the real blocks, in the order of the blocks
-    size : float, size of complex blocks, 1/β
+    ``box`` holds the parameters of the real blocks, in the order of the blocks. ``size`` of complex blocks is
+    1/β.
     """
 
     def __init__(self, structure: Structure, box: ParameterBox, size: float):
@@ -157,11 +154,7 @@ class Part:
 class Prover:
     """Proof of μ < β, part by part.
 
-    Parameters
-    ----------
-    loop : StateSpace or ndarray, a loop in continuous time, or M, shape (Σcols, Σrows), at one frequency
-    structure : Structure
-    slack : float, parameter of ``proved_at``
+    ``loop`` is in continuous time, or M (Σcols, Σrows) at one frequency. ``slack`` is that of `proved_at`.
     """
 
     def __init__(self, loop: StateSpace | np.ndarray, structure: Structure, slack: float = 0.0):

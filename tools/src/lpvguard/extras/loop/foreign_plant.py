@@ -35,13 +35,7 @@ OF_OUR_TRUCK = {"speed_profile"}
 
 
 class Mapped(StrictModel):
-    """Our quantity by a variable of the FMU: factor x variable + offset.
-
-    Attributes
-    ----------
-    variable : str
-    factor, offset : float
-    """
+    """Our quantity by a variable of the FMU: factor x variable + offset."""
 
     variable: str
     factor: Annotated[float, Field(allow_inf_nan=False)] = 1.0

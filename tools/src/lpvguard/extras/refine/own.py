@@ -59,12 +59,9 @@ class OwnGain:
 
 @dataclass(frozen=True)
 class OwnGains:
-    """Own gains of the vehicles of a lineage.
+    """Own gains of the vehicles of a lineage, relative to ``known``.
 
-    Attributes
-    ----------
-    known : tuple of float, mean gain of the first calibrating drives by output
-    vehicles : Mapping[str, OwnGain], gains relative to ``known``
+    ``known`` is the mean gain of the first calibrating drives, by output.
     """
 
     known: tuple[float, ...] = ()
