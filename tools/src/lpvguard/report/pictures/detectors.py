@@ -141,6 +141,13 @@ def _over_severity(
     return figure
 
 
+def _lines(axes: Axes, x: np.ndarray, names: dict[str, str], of: Callable[[str], list[float]]) -> None:
+    """Draw the numbers ``of`` each detector over ``x``, in its style."""
+    for detector, (colour, line, mark, width) in zip(names, DETECTOR_STYLES, strict=False):
+        look = {"marker": mark, "ms": 3.2, "lw": width, "color": colour, "label": names[detector]}
+        axes.plot(x, of(detector), line, **look)
+
+
 @picture
 def detection(severities: list[dict], units: dict[str, str], names: dict[str, str], key: str) -> Figure:
     """Draw the share of runs in which a fault was found in time over its severity.
@@ -152,17 +159,7 @@ def detection(severities: list[dict], units: dict[str, str], names: dict[str, st
     """
 
     def draw(axes: Axes, x: np.ndarray, rows: list[dict]) -> None:
-        for detector, (colour, line, mark, width) in zip(names, DETECTOR_STYLES, strict=False):
-            axes.plot(
-                x,
-                [s[key][detector] / s["runs"] for s in rows],
-                line,
-                marker=mark,
-                ms=3.2,
-                lw=width,
-                color=colour,
-                label=names[detector],
-            )
+        _lines(axes, x, names, lambda detector: [s[key][detector] / s["runs"] for s in rows])
         axes.fill_between(
             x,
             0,
@@ -186,17 +183,9 @@ def detection_time(severities: list[dict], units: dict[str, str], names: dict[st
     """
 
     def draw(axes: Axes, x: np.ndarray, rows: list[dict]) -> None:
-        for detector, (colour, line, mark, width) in zip(names, DETECTOR_STYLES, strict=False):
-            axes.plot(
-                x,
-                [np.nan if s["median_s"][detector] is None else s["median_s"][detector] for s in rows],
-                line,
-                marker=mark,
-                ms=3.2,
-                lw=width,
-                color=colour,
-                label=names[detector],
-            )
+        _lines(
+            axes, x, names, lambda d: [np.nan if s["median_s"][d] is None else s["median_s"][d] for s in rows]
+        )
         axes.set_yscale("log")
         axes.set_ylim(0.05, 200.0)
 
