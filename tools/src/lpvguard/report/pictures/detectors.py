@@ -141,11 +141,12 @@ def _over_severity(
     return figure
 
 
-def _lines(axes: Axes, x: np.ndarray, names: dict[str, str], of: Callable[[str], list[float]]) -> None:
-    """Draw the numbers ``of`` each detector over ``x``, in its style."""
+def _lines(axes: Axes, x: np.ndarray, names: dict[str, str], numbers: Callable[[str], list[float]]) -> None:
+    """Draw the ``numbers`` of each detector over ``x`` (N,), in its style."""
     for detector, (colour, line, mark, width) in zip(names, DETECTOR_STYLES, strict=False):
-        look = {"marker": mark, "ms": 3.2, "lw": width, "color": colour, "label": names[detector]}
-        axes.plot(x, of(detector), line, **look)
+        axes.plot(
+            x, numbers(detector), line, marker=mark, ms=3.2, lw=width, color=colour, label=names[detector]
+        )
 
 
 @picture
