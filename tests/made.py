@@ -36,12 +36,7 @@ def digest_of(folder: Path) -> str:
 
 def sources_digest() -> str:
     words = [digest_of(ROOT / name) for name in SOURCES]
-    words += [
-        sys.version,
-        numpy.__version__,
-        scipy.__version__,
-        platform.processor(),
-    ]
+    words += [sys.version, numpy.__version__, scipy.__version__, platform.processor()]
     cpuinfo = Path("/proc/cpuinfo")
     words += (
         [line for line in cpuinfo.read_text().splitlines() if line.startswith(("flags", "Features"))][:1]

@@ -25,7 +25,7 @@ html_show_sphinx = False
 html_show_search_summary = False  # it fetches pages, which a browser refuses to files
 html_show_sourcelink = False
 html_theme_options = {
-    "light_css_variables": {"font-stack": "system-ui, sans-serif", "font-stack--monospace": "monospace"},
+    "light_css_variables": {"font-stack": "system-ui, sans-serif", "font-stack--monospace": "monospace"}
 }
 myst_fence_as_directive = ["math"]
 myst_heading_anchors = 4

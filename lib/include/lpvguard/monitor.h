@@ -114,18 +114,18 @@ typedef struct lpvg_sample_t {
 
 /// One judged frame of one bin. A record may also hold an alarm of the energy test or of the change test.
 ///
-/// Alarm of the energy test: `bin` is band * LPVG_NDIRECTIONS + direction (energy.h). `margin` and `statistic` are the ratio.
+/// Alarm of the energy test: `bin` is band * LPVG_NDIRECTIONS + direction (energy.h). `margin` and `statistic` are its ratio.
 /// `evidence` is the ratio of a vehicle without response. `speed` is the speed of the sample. E[j][0] is the norm of F e_j, and
 /// Z[j][0] is the norm of F W_delta yhat_j. The imaginary parts are 0.
 ///
-/// Alarm of the change test: `bin` is 3 * output + part of the estimate (0 gain, 1 delay, 2 bias). `margin` and `statistic` are the ratio.
+/// Alarm of the change test: `bin` is 3 * output + part of the estimate (0 gain, 1 delay, 2 bias). `margin` and `statistic` are its ratio.
 /// `evidence` is the ratio of a lost output (gain -1). E[0] holds gain and delay of the output, Z[0][0] its bias. All other numbers are 0.
 typedef struct lpvg_frame_t {
     uint32_t sequence;             ///< number of frames closed so far, this one included; 0: none yet
     lpvg_test_t test;              ///< the test that judged
     uint32_t bin;                  ///< 0 is DC
     int64_t t_end_us;              ///< time of the frame's last sample                    [us]
-    lpvg_reason_t reason;          ///< none or not_excited: the frame counted; other: why not, and the rest is 0
+    lpvg_reason_t reason;          ///< none or not_excited: the frame counted; another reason: all fields below are 0
     bool falsified;                ///< an alarm: statistic or pooled ratio above the threshold
     bool refuted;                  ///< an alarm that refutes the certificate set: the verdict is invalid
     lpvg_real_t speed;             ///< mean speed                                         [m/s]

@@ -19,10 +19,7 @@ def test_the_least_fault_is_what_the_confirmed_scores_miss():
 @pytest.mark.unhurried
 def test_designs_stand_beside_each_other(tmp_path, capsys):
     out = tmp_path / "confirmation.json"
-    run(
-        "confirmation",
-        ["--hours", "10", "--fresh", "300", "--delays", "10,60", "--json", str(out)],
-    )
+    run("confirmation", ["--hours", "10", "--fresh", "300", "--delays", "10,60", "--json", str(out)])
     text, result = capsys.readouterr().out, json.loads(out.read_text())
     assert len(result["rows"]) == 5 * len(confirmation.DESIGNS) * 3
     single, three = (result["rows"][i] for i in (0, 3))

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from lpvguard.base.errors import InputError
-from lpvguard.control import violations
 from lpvguard.engine.synthesis.varying import History
+from lpvguard.extras.bench import _violations as violations
 from lpvguard.extras.bench import proofs
 from lpvguard.extras.bench._trials import Trial, Trials, _turned
 

@@ -10,13 +10,7 @@ import pytest
 
 from lpvguard.base.errors import InputError
 from lpvguard.control.design_files import case_files
-from lpvguard.engine.synthesis.cases import (
-    case_plant,
-    case_weights,
-    differences,
-    paper_case,
-    read_case,
-)
+from lpvguard.engine.synthesis.cases import case_plant, case_weights, differences, paper_case, read_case
 from lpvguard.engine.synthesis.dk import Scaling, certify, dk_synthesis
 from lpvguard.engine.synthesis.errors import SynthesisError
 from lpvguard.engine.synthesis.hinf import hinf_synthesis
@@ -138,8 +132,7 @@ def test_every_path_with_a_delta_an_output_is_the_product_of_its_weights(case, o
 
 def test_a_delay_comes_before_the_vehicle_of_K_o_and_its_weights_may_not_lack(case):
     weights = replace(
-        case_weights(case, OBJECTIVE),
-        W_delta_o=(zeros_poles(0.3, [], []), zeros_poles(0.7, [], [])),
+        case_weights(case, OBJECTIVE), W_delta_o=(zeros_poles(0.3, [], []), zeros_poles(0.7, [], []))
     )
     A, B = truck_model.continuous(case["v"], case["wheelbase"])
     plain, late = (generalised_plant(A, B, weights, OUTPUTWISE, TS, k).system for k in (0, 2))

@@ -17,14 +17,7 @@ from lpvguard.vehicle.project import load_project
 
 def write(folder, drive) -> None:
     table = np.column_stack([drive.t, drive.v, drive.u, drive.y])
-    np.savetxt(
-        folder / f"{drive.name}.csv",
-        table,
-        "%.9g",
-        ",",
-        header="t,v,delta,r",
-        comments="",
-    )
+    np.savetxt(folder / f"{drive.name}.csv", table, "%.9g", ",", header="t,v,delta,r", comments="")
 
 
 @pytest.fixture
@@ -45,14 +38,7 @@ def folder(tmp_path):
 @pytest.mark.unhurried
 def test_the_project_file_gets_the_numbers_and_keeps_its_comments(lpvguard, folder):
     done = lpvguard(
-        "fit",
-        "--vehicle",
-        "g80",
-        folder / "drives",
-        "-o",
-        folder / "fit",
-        "--json",
-        folder / "f.json",
+        "fit", "--vehicle", "g80", folder / "drives", "-o", folder / "fit", "--json", folder / "f.json"
     )
     assert done.returncode == 0, done.stderr
     project = load_project(folder / "fit" / "g80.toml")
@@ -70,15 +56,7 @@ def test_the_project_file_gets_the_numbers_and_keeps_its_comments(lpvguard, fold
     read_manifest(folder / "fit", "fit")
     assert (folder / "fit" / "measured.svg").read_text().startswith("<svg")
     assert stored["recentring"] is None
-    done = lpvguard(
-        "fit",
-        "--vehicle",
-        "g80",
-        folder / "drives",
-        "-o",
-        folder / "centred",
-        "--recentre",
-    )
+    done = lpvguard("fit", "--vehicle", "g80", folder / "drives", "-o", folder / "centred", "--recentre")
     centred = json.loads((folder / "centred" / "fit.json").read_text())
     assert done.returncode == 0 and "recentring: median error of frames" in done.stderr
     assert list(validator.iter_errors(centred)) == [] and centred["recentring"]["fitted"] > 0
@@ -131,10 +109,7 @@ def test_a_model_that_no_car_can_have_is_refused_unless_told(g80):
     require_plausible(stated)
     for change, says in (
         ({"input_delay_s": 1.3}, "delay and time constant of 1.3"),
-        (
-            {"B": [[f"3.6*({b})" for b in row] for row in g80.model.B]},
-            "wheelbase of 0.7",
-        ),
+        ({"B": [[f"3.6*({b})" for b in row] for row in g80.model.B]}, "wheelbase of 0.7"),
     ):
         model = stated.model.model_copy(update=change)
         strange = stated.model_copy(update={"model": model})

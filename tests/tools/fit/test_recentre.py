@@ -19,10 +19,7 @@ SPEEDS = (6.0, 9.0, 12.0, 15.0, 18.0)
 def fitted():
     """A car's drives, its unknowns and their estimate by least squares."""
     random = np.random.default_rng(3)
-    car, unknowns = (
-        KnownCar.drawn(random),
-        Unknowns.from_project(guessed(load_project("g80"))),
-    )
+    car, unknowns = (KnownCar.drawn(random), Unknowns.from_project(guessed(load_project("g80"))))
     drives = [car.drive(random, v, 90.0, f"at_{v:g}") for v in SPEEDS]
     return car, drives, unknowns, Fit(unknowns, drives).estimated(unknowns.start)
 
@@ -40,12 +37,7 @@ def test_a_wrong_estimate_comes_back_to_the_car(fitted):
     truth = unknowns.project(car.truth)
     wrong = estimate.theta * np.array([1.2, 0.7, 1.5, 0.8, 1.0, 1.0])
     far = type(estimate)(
-        unknowns,
-        wrong,
-        estimate.covariance,
-        estimate.whitening,
-        *[np.zeros((0, 0))] * 2,
-        False,
+        unknowns, wrong, estimate.covariance, estimate.whitening, *[np.zeros((0, 0))] * 2, False
     )
     near, how = recentred(unknowns, far, drives)
     assert how.taken and how.left_out < 0.5 * how.fitted
@@ -58,12 +50,7 @@ def test_a_wrong_estimate_comes_back_to_the_car(fitted):
 def test_what_does_not_pay_is_not_taken(fitted):
     car, drives, unknowns, estimate = fitted
     right = type(estimate)(
-        unknowns,
-        car.truth.copy(),
-        estimate.covariance,
-        estimate.whitening,
-        *[np.zeros((0, 0))] * 2,
-        False,
+        unknowns, car.truth.copy(), estimate.covariance, estimate.whitening, *[np.zeros((0, 0))] * 2, False
     )
     same, how = recentred(unknowns, right, drives[:2])
     assert not how.taken and how.left_out >= how.fitted and same is right

@@ -24,12 +24,7 @@ def test_the_kth_largest_of_the_last_scores_by_hand():
 
 @pytest.mark.parametrize("design", DESIGNS)
 def test_the_statistics_are_those_of_the_core(core, synthetic, g80, design):
-    drive = inject(
-        read_drive(synthetic / "synthetic_01.csv", g80),
-        Fault("gain", 0.5),
-        70.0,
-        g80.Ts_s,
-    )
+    drive = inject(read_drive(synthetic / "synthetic_01.csv", g80), Fault("gain", 0.5), 70.0, g80.Ts_s)
     words = core.compiled[0].copy()
     fields = COEFF.split("words", words, core.sizes)
     fields["confirm"][:], fields["of_last"][:] = design
@@ -54,12 +49,7 @@ def test_gain_errors_begin_at_instants_and_are_reached_in_time(core, synthetic, 
     frames = core.monitor().run_drive(drive).frames
     assert judged.maxima[0].max() == frames.margin[frames.counted].max()
     assert 0 < judged.judged_s <= drive.duration_s
-    assert judged.reached.shape == (
-        g80.evaluation.starts,
-        len(ERRORS),
-        len(DESIGNS) + 2,
-        stage.DELAYS,
-    )
+    assert judged.reached.shape == (g80.evaluation.starts, len(ERRORS), len(DESIGNS) + 2, stage.DELAYS)
     assert (np.diff(judged.reached, axis=-1) >= 0).all()
     at_once = judged.reached[:, -1, 0, -1]
     assert (at_once > 2 * judged.reached[:, 0, 0, -1]).all()

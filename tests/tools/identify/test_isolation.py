@@ -17,14 +17,7 @@ from lpvguard.extras.bench._redundant_car import (
     redundant_drives,
     redundant_project,
 )
-from lpvguard.identify.isolation import (
-    ODDS,
-    Changes,
-    Isolation,
-    is_separable,
-    odds_of,
-    residual_structure,
-)
+from lpvguard.identify.isolation import ODDS, Changes, Isolation, is_separable, odds_of, residual_structure
 from lpvguard.replay.parts import PartNamer, RunningParts
 from lpvguard.report.sections.isolation import isolation_section
 from lpvguard.vehicle.nominal import NominalModel

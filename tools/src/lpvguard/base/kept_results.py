@@ -54,24 +54,10 @@ def _fields(value: Any) -> list[tuple[str, Any]]:
 
 
 def encoded(value: Any, arrays: list[np.ndarray], *, identify: bool = False) -> Any:
-    """Return the JSON form of a value; its arrays are appended to ``arrays``.
+    """Return the JSON form of a value; its arrays of any shape (...,) are appended to ``arrays``.
 
-    Parameters
-    ----------
-    value : Any
-    arrays : list of ndarray, of any shape (...,)
-    identify : bool, default False
-        The form names the value and is not decoded: ``identity`` of an object stands for it, functions are
-        allowed.
-
-    Returns
-    -------
-    Any, JSON-able
-
-    Raises
-    ------
-    TypeError
-        If the codec does not know the value.
+    With ``identify`` the form only names the value: ``identity`` of an object stands for it, and functions
+    are allowed. Raises TypeError if the codec does not know the value.
     """
     again = partial(encoded, arrays=arrays, identify=identify)
     if type(value) in _SCALARS:
@@ -103,21 +89,9 @@ def encoded(value: Any, arrays: list[np.ndarray], *, identify: bool = False) -> 
 
 
 def decoded(form: Any, arrays: list[np.ndarray]) -> Any:
-    """Return the value of a form of `encoded`.
+    """Return the value of a form of `encoded`, whose ``arrays`` have any shape (...,).
 
-    Parameters
-    ----------
-    form : Any
-    arrays : list of ndarray, of any shape (...,)
-
-    Returns
-    -------
-    Any
-
-    Raises
-    ------
-    ValueError
-        If the form is none of `encoded`.
+    Raises ValueError for another form.
     """
     if not isinstance(form, dict):
         return form
@@ -150,21 +124,7 @@ def decoded(form: Any, arrays: list[np.ndarray]) -> Any:
 
 
 def digest_of(value: Any) -> str:
-    """Return the SHA-256 of a value as `encoded` identifies it.
-
-    Parameters
-    ----------
-    value : Any
-
-    Returns
-    -------
-    str
-
-    Raises
-    ------
-    TypeError
-        If the codec does not know the value.
-    """
+    """Return the SHA-256 of a value as `encoded` identifies it; raise TypeError for an unknown kind."""
     arrays: list[np.ndarray] = []
     sha = hashlib.sha256(json.dumps(encoded(value, arrays, identify=True)).encode())
     for array in arrays:

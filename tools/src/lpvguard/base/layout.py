@@ -57,13 +57,7 @@ COEFF = Layout(
             "number of judgements below the threshold after which the next exceedance is a new alarm",
             "[1, inf)",
         ),
-        Field(
-            "change_rearm",
-            (),
-            "",
-            "the same number for the change test",
-            "[1, inf)",
-        ),
+        Field("change_rearm", (), "", "the same number for the change test", "[1, inf)"),
         Field(
             "frame_length",
             ("NBINS",),
@@ -384,6 +378,7 @@ POSITIVE_CONDITION = "[](lpvg_real_t x) { return x > lpvg_real_t(0); }"
 
 
 def _condition(field: Field, fields: tuple[Field, ...], kind: str) -> str:
+    """C++ lambda that tells if a number of the type ``kind`` lies within the range of its field."""
     names = {other.name for other in fields}
 
     def literal(end: str) -> str:

@@ -77,22 +77,9 @@ def _usable(folder: Path) -> Iterator[None]:
 
 
 def find_compiler(*, cxx: bool) -> tuple[str, ...]:
-    """Find a C or C++ compiler.
+    """Find a C or C++ compiler and return the first words of its command; raise NativeError if there is none.
 
     ``$CC`` or ``$CXX`` comes first, then the usual names, then the Python package ziglang.
-
-    Parameters
-    ----------
-    cxx : bool, whether it must compile C++
-
-    Returns
-    -------
-    tuple of str, the command's first words
-
-    Raises
-    ------
-    NativeError
-        If there is none.
     """
     names = [
         os.environ.get("CXX" if cxx else "CC") or "",
@@ -275,6 +262,7 @@ def _compile(
     compiler: tuple[str, ...] | None = None,
     first: Callable[[], Path | None] | None = None,
 ) -> Path:
+    """Compile sources to a cached file; ``first`` makes a header that is included before each of them."""
     paths = [Path(s).resolve() for s in sources]
     includes = [Path(p).resolve() for p in include_dirs]
     missing = [str(p) for p in paths if not p.is_file()]

@@ -151,19 +151,10 @@ def _places(project: Project, where: str) -> list[tuple[str, CanPlace]]:
 
 
 def bus_table(name: str, catalogue: Catalogue, needed: dict[str, int], cases: str, report: Message) -> str:
-    """Generate the C text of lpvguard_bus.c from its parts.
+    """Generate the C text of lpvguard_bus.c for the vehicle ``name``.
 
-    Parameters
-    ----------
-    name : str, of the vehicle
-    catalogue : Catalogue
-    needed : dict, suspect parameter number that reports the loss of a message, by the message's name
-    cases : str, C cases of lpvg_bus_take
-    report : Message, that reports to the vehicle
-
-    Returns
-    -------
-    str
+    ``needed`` holds the suspect parameter number that reports the loss of a message, by its name. ``cases``
+    are the C cases of lpvg_bus_take. ``report`` is the message that reports to the vehicle.
     """
     command, authenticator = catalogue.message(REFERENCE.message), catalogue.message(AUTHENTICATOR)
     needs = ", ".join(

@@ -39,15 +39,7 @@ class _Message:
 def read_sound_lines(text: str) -> tuple[Database, list[str]]:
     """Read the statements of a DBC that cantools can read.
 
-    Parameters
-    ----------
-    text : str, the whole DBC
-
-    Returns
-    -------
-    tuple of Database and list of str
-        Database of the readable statements. The list holds a sentence, with line number and text, for each
-        statement that was left out or corrected.
+    The list holds a sentence, with line number and text, for each statement that was left out or corrected.
     """
     messages: list[_Message] = []
     definitions: list[_Line] = []

@@ -22,17 +22,7 @@ DEMAND = "demand"
 
 
 def demand_files(demands: list[Sent], n_u: int) -> dict[str, str]:
-    """Generate the C code that packs a vehicle's demands.
-
-    Parameters
-    ----------
-    demands : list of Sent
-    n_u : int, number of inputs
-
-    Returns
-    -------
-    dict[str, str], text by file name
-    """
+    """Generate the C code that packs the demands of ``n_u`` inputs: text by file name."""
     header, source = packing(DEMAND, demands, n_u)
     return {
         f"lpvg_{DEMAND}.h": enclosed(DEMAND, header),
@@ -61,17 +51,8 @@ extern "C" {{
 
 
 def packing(name: str, messages: list[Sent], n: int) -> tuple[str, str]:
-    """Generate the packing of ``n`` values into frames.
-
-    Parameters
-    ----------
-    name : str, of the functions and types: ``lpvg_NAME_pack`` and others
-    messages : list of Sent
-    n : int, number of values
-
-    Returns
-    -------
-    tuple of str, declarations and definitions
+    """Generate declarations and definitions that pack ``n`` values into frames: ``lpvg_NAME_pack`` and
+    others.
     """
     macro, longest = f"LPVG_{name.upper()}", max(m.message.car.length for m in messages)
     declared = (

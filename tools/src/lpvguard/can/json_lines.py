@@ -13,22 +13,7 @@ from .text_tables import TextTable, decoded
 
 
 def read_json(data: bytes, path: Path) -> TextTable:
-    """Read objects as rows of a table; each cell is a text.
-
-    Parameters
-    ----------
-    data : bytes
-    path : Path, named in errors
-
-    Returns
-    -------
-    TextTable
-
-    Raises
-    ------
-    InputError
-        If the file holds no objects, or if a line is not an object.
-    """
+    """Read objects as rows of a table with text cells; raise InputError for a line that is no object."""
     text = decoded(data, path).strip()
     try:
         try:

@@ -42,22 +42,9 @@ def form_of(text: str) -> re.Pattern[str] | None:
 
 
 def read_lines(path: Path, text: str, form: re.Pattern[str]) -> Frames:
-    """Read the frames of a log.
+    """Read the frames of a log, whose lines have the ``form`` that `form_of` found.
 
-    Parameters
-    ----------
-    path : Path, named in errors
-    text : str, its content
-    form : Pattern, of its lines, as ``form_of`` finds it
-
-    Returns
-    -------
-    Frames
-
-    Raises
-    ------
-    InputError
-        If most lines are no frame, a frame has no time, or its length is not that of its bytes.
+    Raises InputError if most lines are no frame, a frame has no time, or its length is not that of its bytes.
     """
     lines = [(n, line) for n, line in enumerate(text.splitlines(), start=1) if not _HEADS.match(line)]
     frames = [(n, match.groupdict()) for n, line in lines if (match := form.fullmatch(line))]
@@ -98,9 +85,11 @@ def read_lines(path: Path, text: str, form: re.Pattern[str]) -> Frames:
 
 
 class _Clock:
-    """Times [s] of a log's lines, across new begins of its clock; ``relative``: each counts from the last.
+    """Clock of a log, which gives the times [s] of its lines, also where it begins anew.
 
-    ``part_s``: s that the last number of a time of day counts; some tools write no leading zeros."""
+    With ``relative``, each time counts from the previous line. The last number of a time of day counts in
+    ``part_s`` [s], because some tools write no leading zeros.
+    """
 
     def __init__(self, relative: bool, part_s: float):
         self._relative, self._part_s = relative, part_s

@@ -88,12 +88,7 @@ class Series:
 
 @dataclass(frozen=True)
 class Table:
-    """Decoded log.
-
-    Attributes
-    ----------
-    series : dict[str, Series], by signal
-    """
+    """Decoded log: its series by signal."""
 
     series: dict[str, Series]
 

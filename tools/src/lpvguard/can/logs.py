@@ -183,7 +183,7 @@ def logs_among(paths: list[Path]) -> list[Path]:
 
 
 def _inside(folder: Path, *, deep: bool) -> list[Path]:
-    """The logs of a folder; ``deep``: of its folders, too."""
+    """List the logs of a folder; with ``deep``, those of its folders, too."""
     if reader_of(folder) is not None or topic_files(folder):  # one recording
         return [folder]
     logs: list[Path] = []

@@ -20,15 +20,9 @@ _MOST_NAMES, _LEAST_ROWS = 1000, 5
 
 
 def long_columns(read: TextTable) -> tuple[str, str, str | None] | None:
-    """Find the columns of a table with one signal per row.
+    """Return the columns of names, values and units (or None) of a text table with one signal per row.
 
-    Parameters
-    ----------
-    read : TextTable, every cell as text
-
-    Returns
-    -------
-    tuple of the columns of names, of values and of units (or None); None for another kind of table
+    Returns None for another kind of table.
     """
     low = {re.sub(r"[^a-z0-9]+", "_", name.lower()).strip("_"): name for name in read.table.column_names}
     name, value, unit = (
@@ -45,24 +39,10 @@ def long_columns(read: TextTable) -> tuple[str, str, str | None] | None:
 def series_of_rows(
     read: TextTable, columns: tuple[str, str, str | None], t_ns: np.ndarray, keep: np.ndarray, path: Path
 ) -> dict[str, Series]:
-    """Make one series for each signal name.
+    """Make one series for each signal name of a text table; raise InputError if no name has numbers.
 
-    Parameters
-    ----------
-    read : TextTable, every cell as text
-    columns : tuple, result of `long_columns`
-    t_ns : ndarray (K,) of int, ns, times of the rows that have a time
-    keep : ndarray (N,) of bool, mask of the rows that have a time
-    path : Path, named in errors
-
-    Returns
-    -------
-    dict[str, Series], by name, for the names with numbers
-
-    Raises
-    ------
-    InputError
-        If no name has numbers.
+    ``columns`` comes from `long_columns`. ``keep`` (N,) marks the rows that have a time, ``t_ns`` (K,) [ns]
+    are their times.
     """
     name, value, unit = columns
     table = read.table.filter(pa.array(keep))

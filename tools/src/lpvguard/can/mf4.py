@@ -10,21 +10,7 @@ from .log_types import EXTENDED, FD_BYTES, LATEST_S, Frames, Series, Table
 
 
 def read_mf4(path: Path) -> Frames | Table:
-    """Read an MF4 file.
-
-    Parameters
-    ----------
-    path : Path
-
-    Returns
-    -------
-    Frames or Table
-
-    Raises
-    ------
-    InputError
-        If the file cannot be read.
-    """
+    """Read an MF4 file; raise InputError if it cannot be read."""
     try:
         from asammdf import MDF
     except ImportError:
@@ -102,7 +88,6 @@ def _mf4_signals(mdf) -> Table:
                 if signal.invalidation_bits is not None:
                     value[np.asarray(signal.invalidation_bits, bool)] = np.nan
                 series.setdefault(
-                    channel.name,
-                    Series(_mf4_time(signal.timestamps), value, signal.unit or ""),
+                    channel.name, Series(_mf4_time(signal.timestamps), value, signal.unit or "")
                 )
     return Table(series)

@@ -69,8 +69,8 @@ class Carried:
 class CarriedMessage:
     """Message of the car, the catalogue message that carries it, and the places of checksum and counter.
 
-    ``checksum_name`` is None for a message without a checksum. ``counters`` is the number of values of the
-    counter. ``any_priority`` marks a J1939 group.
+    ``checksum_name`` is None for a message without a checksum. ``counters`` is the number of values that the
+    counter takes. ``any_priority`` marks a J1939 group.
     """
 
     car: CarMessage
@@ -210,11 +210,8 @@ def refused_values(project: Project, values: Mapping[str, np.ndarray]) -> list[s
 class Sent:
     """Message of the car with values of a vector, such as the demands of a controller.
 
-    Attributes
-    ----------
-    message : CarriedMessage
-    signals : list of (list of Signal, int, float)
-        Signals whose sum carries an element, its index, and the factor from element to bus value.
+    ``signals`` holds the signals whose sum carries an element, its index, and the factor from element to bus
+    value.
     """
 
     message: CarriedMessage
@@ -222,20 +219,9 @@ class Sent:
 
 
 def demand_messages(project: Project) -> list[Sent]:
-    """List the messages of a vehicle's own bus that carry its demands.
+    """List the messages of a vehicle's own bus that carry its demands, as can.demand places them.
 
-    Parameters
-    ----------
-    project : Project, with can.demand
-
-    Returns
-    -------
-    list of Sent
-
-    Raises
-    ------
-    InputError
-        If the database lacks a message or signal, or a signal cannot be sent.
+    Raises InputError if the database lacks a message or signal, or a signal cannot be sent.
     """
     assert project.can is not None
     where, path = f"vehicle {project.name}, can.demand", project.can.dbc
@@ -259,18 +245,7 @@ def demand_messages(project: Project) -> list[Sent]:
 
 
 def sensor_messages(project: Project, bus: CarBus, signals: Sequence[Signal]) -> list[Sent]:
-    """List the messages of a vehicle's own bus that carry its measured signals.
-
-    Parameters
-    ----------
-    project : Project
-    bus : CarBus, of these signals
-    signals : sequence of Signal
-
-    Returns
-    -------
-    list of Sent, whose elements are ``signals``
-    """
+    """List the messages of a vehicle's own bus that carry ``signals``, with these as elements."""
     where = f"vehicle {project.name}"
     sent: list[Sent] = []
     for m in bus.messages:
@@ -329,7 +304,7 @@ def _carried(
 ) -> CarriedMessage:
     """Make message ``number`` of the catalogue with the signals ``names`` of ``car``, in this order.
 
-    ``both_signs``: signals of quantities that have both signs.
+    ``both_signs`` names signals of quantities that have both signs.
     """
     place = f"message {car.name}"
     period_ms = settings.period_ms or car.cycle_time

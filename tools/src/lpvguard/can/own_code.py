@@ -134,16 +134,7 @@ static void protect(lpvg_can_own_t* self, uint8_t index, uint16_t data_id, int64
 
 
 def raw_value(bits: Bits) -> str:
-    """C expression of the raw value of a car's signal in ``data``.
-
-    Parameters
-    ----------
-    bits : Signal or Place
-
-    Returns
-    -------
-    str
-    """
+    """C expression of the raw value of a car's signal in ``data``."""
     text = ""
     for byte, low, count in signal_pieces(bits):
         term = f"((uint32_t)data[{byte}] >> {low})" if low else f"(uint32_t)data[{byte}]"
@@ -188,14 +179,7 @@ def _take(index: int, m: CarriedMessage) -> str:
 def checked_lines(m: CarriedMessage) -> tuple[list[str], list[str], str]:
     """C lines that check the checksum of ``data`` [``length``] of message ``id``.
 
-    Parameters
-    ----------
-    m : CarriedMessage
-
-    Returns
-    -------
-    tuple
-        Declarations, statements, and the C name of the result, "1" without a checksum.
+    Returns declarations, statements, and the C name of the result, "1" without a checksum.
     """
     if m.checksum_name is None or m.checksum is None:
         return [], [], "1"
@@ -206,17 +190,7 @@ def checked_lines(m: CarriedMessage) -> tuple[list[str], list[str], str]:
 
 
 def frame_to_check(m: CarriedMessage, checksum: Bits) -> tuple[list[str], list[str]]:
-    """Declarations and statements for ``checked``, the frame whose checksum is computed.
-
-    Parameters
-    ----------
-    m : CarriedMessage
-    checksum : Signal or Place
-
-    Returns
-    -------
-    tuple of list of str, C lines
-    """
+    """Declarations and statements for ``checked``, the frame whose checksum is computed."""
     pieces = signal_pieces(checksum)
     at = min(byte for byte, _, _ in pieces)
     keep = 0xFF

@@ -112,10 +112,7 @@ def _with_ours(project: Project, catalogue: Catalogue) -> Catalogue:
         ),
         shipped.message(AUTHENTICATOR),
         report.model_copy(
-            update={
-                "period_ms": period_ms,
-                "signals": [s for s in report.signals if s.name != "dp_demand"],
-            }
+            update={"period_ms": period_ms, "signals": [s for s in report.signals if s.name != "dp_demand"]}
         ),
     ]
     nodes = [*catalogue.nodes, *(n for n in shipped.nodes if n.address == command.source_address)]

@@ -35,18 +35,7 @@ PACKED = frozenset((*_UNPACK, ".zip"))
 def name_inside(path: Path) -> str:
     """Return the file name of a log without its compression.
 
-    Parameters
-    ----------
-    path : Path
-
-    Returns
-    -------
-    str
-
-    Raises
-    ------
-    InputError
-        If a .zip cannot be read, or does not hold exactly one file.
+    Raises InputError unless a .zip can be read and holds exactly one file.
     """
     if path.suffix.lower() != ".zip":
         return path.stem if path.suffix.lower() in _UNPACK else path.name
@@ -58,21 +47,7 @@ def name_inside(path: Path) -> str:
 
 
 def names_inside(path: Path) -> list[str]:
-    """Name the files of a .zip.
-
-    Parameters
-    ----------
-    path : Path
-
-    Returns
-    -------
-    list[str]
-
-    Raises
-    ------
-    InputError
-        If it cannot be read.
-    """
+    """Name the files of a .zip; raise InputError if it cannot be read."""
     try:
         with zipfile.ZipFile(path) as archive:
             names = archive.namelist()
@@ -91,18 +66,7 @@ def _unpacked_folders() -> tempfile.TemporaryDirectory[str]:
 def unpacked_folder(path: Path) -> Path:
     """Unpack a .zip into a folder of its name, which the end of the process removes.
 
-    Parameters
-    ----------
-    path : Path
-
-    Returns
-    -------
-    Path
-
-    Raises
-    ------
-    InputError
-        If it cannot be unpacked.
+    Raises InputError if it cannot be unpacked.
     """
     folder = Path(tempfile.mkdtemp(dir=_unpacked_folders().name)) / path.name
     try:
@@ -114,21 +78,9 @@ def unpacked_folder(path: Path) -> Path:
 
 
 def unpacked(path: Path, most: int | None = None) -> bytes:
-    """Read a file and decompress it according to its suffix.
+    """Read a file, or its first ``most`` bytes, and decompress it according to its suffix.
 
-    Parameters
-    ----------
-    path : Path
-    most : int, optional, number of bytes to read from the start, by default all
-
-    Returns
-    -------
-    bytes
-
-    Raises
-    ------
-    InputError
-        If the file cannot be read or is damaged.
+    Raises InputError if the file cannot be read or is damaged.
     """
     inside = name_inside(path)
     try:
@@ -154,14 +106,5 @@ def unpacked(path: Path, most: int | None = None) -> bytes:
 
 
 def suffix_inside(path: Path) -> str:
-    """Return the suffix of a log without its compression, in lower case; "" if there is none.
-
-    Parameters
-    ----------
-    path : Path
-
-    Returns
-    -------
-    str
-    """
+    """Return the suffix of a log without its compression, in lower case; "" if there is none."""
     return PurePath(name_inside(path)).suffix.lower()

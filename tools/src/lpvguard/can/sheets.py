@@ -13,19 +13,7 @@ SHEET_SUFFIXES = {".xlsx", ".xlsm", ".xls", ".ods"}
 def read_sheet(data: bytes, path: Path) -> TextTable:
     """Read the sheet with the most rows, as a text table with a header.
 
-    Parameters
-    ----------
-    data : bytes, of the file
-    path : Path, named in errors
-
-    Returns
-    -------
-    TextTable
-
-    Raises
-    ------
-    InputError
-        If python-calamine is missing, the file cannot be read, or no sheet holds a table.
+    Raises InputError if python-calamine is missing, the file cannot be read, or no sheet holds a table.
     """
     with read_by_library(path, "a whole spreadsheet"):
         from python_calamine import CalamineWorkbook

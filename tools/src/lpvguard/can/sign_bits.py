@@ -46,14 +46,8 @@ def sign_bits(message: Message) -> dict[str, str]:
 def sign_columns(series: dict[str, Series]) -> dict[str, str]:
     """Find the magnitudes among a table's columns, and their sign columns of 0 and 1.
 
-    Parameters
-    ----------
-    series : dict[str, Series], series with a common time axis
-
-    Returns
-    -------
-    dict[str, str]
-        By magnitude the column of the same name, apart from a unit, with a word for sign.
+    The series have a common time axis. A sign column has the name of its magnitude, apart from a unit, with a
+    word for sign.
     """
     signs: dict[str, str] = {}
     for bit, values in series.items():

@@ -88,19 +88,7 @@ def read_text_table(data: bytes, path: Path) -> TextTable:
 def decoded(data: bytes, path: Path) -> str:
     """Decode the text of a file: UTF-8, UTF-16, otherwise the code page of Windows.
 
-    Parameters
-    ----------
-    data : bytes
-    path : Path, named in errors
-
-    Returns
-    -------
-    str
-
-    Raises
-    ------
-    InputError
-        If the file holds null bytes, because then it is not a text.
+    Raises InputError if the file holds null bytes, because then it is not a text.
     """
     if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
         return data.decode("utf-16", errors="replace")

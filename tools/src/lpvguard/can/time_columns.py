@@ -266,14 +266,7 @@ def _grows(t: np.ndarray) -> bool:
 def unit_of_time(name: str, units: Mapping[str, str]) -> str | None:
     """Find the unit of times that the log or the name states: in brackets, or as the last word.
 
-    Parameters
-    ----------
-    name : str
-    units : Mapping[str, str], unit by name, where the log states one
-
-    Returns
-    -------
-    str or None
+    ``units`` holds the units that the log states, by name.
     """
     texts = [units.get(name, ""), *re.findall(r"[\[({](.*?)[\])}]", name)]
     for text in texts:
@@ -315,13 +308,7 @@ def _by_shape(t: np.ndarray, path: Path, column: str) -> str:
 def times_of_texts(texts: list[str | None]) -> tuple[np.ndarray, np.ndarray]:
     """Read dates with time of day, or times of day, of which midnight begins another day.
 
-    Parameters
-    ----------
-    texts : list of str or None
-
-    Returns
-    -------
-    tuple of times (N,) [ns] and of which (N,) bool are none
+    Returns the times (N,) [ns], and which of the texts (N,) are none.
     """
     times, bad = np.zeros(len(texts), np.int64), np.zeros(len(texts), bool)
     day, before = 0, -1

@@ -24,13 +24,7 @@ _OF_EVERY_TOPIC = re.compile(r"(^|_)(t|time|timestamp|stamp|secs?|nsecs?|nanosec
 def topic_files(folder: Path) -> list[Path]:
     """List the tables of a folder that holds one recording with a table for each topic.
 
-    Parameters
-    ----------
-    folder : Path
-
-    Returns
-    -------
-    list[Path], empty for another folder: fewer than two tables, other files, or equal columns
+    The list is empty for another folder: fewer than two tables, other files, or equal columns.
     """
     inside = sorted(p for p in folder.iterdir() if not p.name.startswith(".")) if folder.is_dir() else []
     files = [p for p in inside if p.suffix.lower() in _SUFFIXES]
@@ -66,21 +60,9 @@ def _columns(path: Path) -> set[str]:
 
 
 def joined(folder: Path, topics: dict[str, Table]) -> Table:
-    """Join the tables of one recording by their times.
+    """Join the tables of one recording by their times, with the series TOPIC.column.
 
-    Parameters
-    ----------
-    folder : Path, named in errors
-    topics : dict[str, Table], table by topic
-
-    Returns
-    -------
-    Table, with the series TOPIC.column
-
-    Raises
-    ------
-    InputError
-        If a topic has no time in common with the others.
+    Raises InputError if a topic has no time in common with the others.
     """
     spans = {}
     series: dict[str, Series] = {}

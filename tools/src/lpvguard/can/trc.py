@@ -28,19 +28,7 @@ _Row = tuple[int, int, str, bytes]
 def read_trc(path: Path, text: str) -> Frames:
     """Read the frames of a trace.
 
-    Parameters
-    ----------
-    path : Path, named in errors
-    text : str, its content
-
-    Returns
-    -------
-    Frames
-
-    Raises
-    ------
-    InputError
-        If a line is not a frame, or if its length differs from the number of its bytes.
+    Raises InputError if a line is not a frame, or if its length differs from the number of its bytes.
     """
     rows: list[_Row] = []
     left_out = {"error reports": 0, "remote frames": 0}

@@ -15,19 +15,7 @@ _UNIT = re.compile(r".*\s(kmh|km/h|mph|knots|m/s|g|deg|deg/s)", re.IGNORECASE)
 def read_vbo(data: bytes, path: Path) -> TextTable:
     """Read the table of a .vbo file.
 
-    Parameters
-    ----------
-    data : bytes
-    path : Path, named in errors
-
-    Returns
-    -------
-    TextTable
-
-    Raises
-    ------
-    InputError
-        If a section is missing, or if the rows do not fit the columns.
+    Raises InputError if a section is missing, or if the rows do not fit the columns.
     """
     sections: dict[str, list[str]] = {}
     now, first_line = "", 1

@@ -91,7 +91,7 @@ def _print_baselines(result: dict[str, Any], detectors: dict[str, DetectorColumn
 
 
 def _detector_table(detectors: dict[str, DetectorColumn], best: list[str] | None = None) -> Table:
-    """False alarms and found faults, a column per detector; ``best``: who leads, per fault."""
+    """Print false alarms and found faults, a column per detector; ``best`` names the leader by fault."""
     from ..evaluate.comparison import detector_rows
 
     head = ("", *detectors, *(["best"] if best else []))

@@ -126,7 +126,7 @@ def keeping(folder: Path | None, workers: Map) -> Iterator[Map]:
 def project_of(vehicle: str, drives: Path | None = None) -> Project:
     """Load the project of a shipped vehicle or of a project file. InputError if there is neither.
 
-    ``drives``: folder of drives against which the ranges of the own bus are checked.
+    The ranges of the own bus are checked against the folder ``drives``.
     """
     from ..vehicle.project import load_project
 

@@ -26,12 +26,9 @@ OF_OUTPUT = {"w": "the disturbance (W_w)", "n": "the noise (W_n)", "xi": "the un
 
 @dataclass(frozen=True)
 class Limiting:
-    """Peak of mu at one speed, and the share of each signal in the peak.
+    """Peak of mu at one speed: its ``frequency`` [rad/s], and the share of each signal in the peak.
 
-    Attributes
-    ----------
-    frequency : float, rad/s
-    enters_by, leaves_by : dict[str, float], share of each input and output of the scaled loop
+    A signal is an input (``enters_by``) or an output (``leaves_by``) of the scaled loop.
     """
 
     frequency: float

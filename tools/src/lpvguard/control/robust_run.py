@@ -118,21 +118,10 @@ def run(
     draws: int,
     seed: int,
 ) -> RobustRun:
-    """Run random Delta and inputs, and the worst case, at one speed.
+    """Run random Delta and inputs ``draws`` times, and the worst case, at the speed ``v`` [m/s].
 
-    Parameters
-    ----------
-    compiled : CompiledController
-    plant : GeneralisedPlant, discrete
-    controller : StateSpace, the compiled controller in double precision
-    v : float, m/s
-    proved : RobustPerformance, certificate at this speed
-    draws : int, number of random runs
-    seed : int
-
-    Returns
-    -------
-    RobustRun
+    ``plant`` is discrete. ``controller`` is the compiled controller in double precision. ``proved`` is the
+    certificate at this speed.
     """
     random = np.random.default_rng(seed)
     size, dt, n_w = 1 / max(1.0, proved.upper), plant.system.dt, plant.performance_block.rows
@@ -150,11 +139,7 @@ def run(
     delta = None
     if plant.blocks:
         delta = StateSpace(
-            case.delta.A,
-            case.delta.B,
-            size / case.size * case.delta.C,
-            size / case.size * case.delta.D,
-            dt,
+            case.delta.A, case.delta.B, size / case.size * case.delta.C, size / case.size * case.delta.D, dt
         )
     closed = lft(_perturbed(plant, delta), controller)
     gain = closed.response([case.frequency])[0]

@@ -177,17 +177,7 @@ EIGEN_PREFIXES = ("/usr", "/usr/local", "/opt/homebrew")
 
 
 def eigen_include() -> str:
-    """Find Eigen 3 in the system or in the Python package cmeel-eigen.
-
-    Returns
-    -------
-    str, folder to include
-
-    Raises
-    ------
-    NativeError
-        If there is none.
-    """
+    """Find the folder of Eigen 3 in the system or in the package cmeel-eigen, else raise NativeError."""
     if shutil.which("pkg-config"):
         answer = subprocess.run(
             ["pkg-config", "--variable=includedir", "eigen3"], capture_output=True, text=True, check=False
@@ -216,16 +206,9 @@ OF_NO_VEHICLE = {"authentication", "can", "evidence", "j1939", "life", "uds", "x
 
 
 def core_sources(root: Path, folder: Path) -> list[Path]:
-    """List the sources of the core that a generated folder needs.
+    """List the sources of the core below ``root`` (lib/) that a vehicle's generated folder needs.
 
-    Parameters
-    ----------
-    root : Path, lib/
-    folder : Path, generated folder of a vehicle; it has ECU code only with lpvguard_bus.c
-
-    Returns
-    -------
-    list of Path
+    The folder has ECU code only with lpvguard_bus.c.
     """
     without = set() if (folder / "lpvguard_bus.c").is_file() else {"ecu"}
     return sorted(p for p in (root / "src").rglob("*.cpp") if p.stem not in without)

@@ -23,7 +23,16 @@ from ..base.errors import InputError
 from ..vehicle.project import EvaluationSettings
 from .tables import Drive
 
-KINDS = ("gain", "freeze", "bias", "input_delay", "output_delay", "dead_zone", "saturation")
+KINDS = {
+    "gain": "output × {:g}",
+    "freeze": "output frozen",
+    "bias": "output + {:g}",
+    "input_delay": "input delayed by {:g} s",
+    "output_delay": "output delayed by {:g} s",
+    "dead_zone": "output's dead zone {:g}",
+    "saturation": "output saturates at {:g}",
+}
+"""Words of each kind, with its value."""
 
 
 @dataclass(frozen=True)
@@ -52,16 +61,7 @@ class Fault:
     @property
     def label(self) -> str:
         """Name of the fault, with its size."""
-        texts = {
-            "gain": "output × {:g}",
-            "freeze": "output frozen",
-            "bias": "output + {:g}" + (" of its spread" if self.spread else ""),
-            "input_delay": "input delayed by {:g} s",
-            "output_delay": "output delayed by {:g} s",
-            "dead_zone": "output's dead zone {:g}" + (" of its spread" if self.spread else ""),
-            "saturation": "output saturates at {:g}" + (" of its spread" if self.spread else ""),
-        }
-        own = texts[self.kind].format(self.value)
+        own = KINDS[self.kind].format(self.value) + (" of its spread" if self.spread else "")
         return own if self.also is None else f"{own}, {self.also.label}"
 
 

@@ -55,18 +55,7 @@ class Record:
 def read_record(path: Path) -> Record:
     """Read the bytes of a record.
 
-    Parameters
-    ----------
-    path : Path
-
-    Returns
-    -------
-    Record
-
-    Raises
-    ------
-    InputError
-        If they are none, of another schema, cut, or a bit has changed.
+    Raises InputError if they are none, of another schema, cut, or a bit has changed.
     """
     data = path.read_bytes()
     if len(data) < _HEADER.size + 4 or data[:4] != MAGIC:
@@ -84,21 +73,9 @@ def read_record(path: Path) -> Record:
 
 
 def record_table(path: Path, project: Project) -> pa.Table:
-    """Return a record as the drive table of a vehicle.
+    """Return a record as the drive table of a vehicle, with time from the first sample on.
 
-    Parameters
-    ----------
-    path : Path
-    project : Project
-
-    Returns
-    -------
-    Table, with time from the first sample on
-
-    Raises
-    ------
-    InputError
-        If it is no record, or has other signals or another period than the vehicle.
+    Raises InputError if it is no record, or has other signals or another period than the vehicle.
     """
     record = read_record(path)
     signals = [project.speed, *project.inputs, *project.outputs]

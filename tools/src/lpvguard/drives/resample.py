@@ -250,13 +250,7 @@ def _repeated(value: np.ndarray) -> list[float]:
 
 
 def without_lone(column: str, source: Source) -> None:
-    """Drop the samples that stand alone, with a warning that names the first.
-
-    Parameters
-    ----------
-    column : str, named in the warning
-    source : Source, changed
-    """
+    """Drop the samples of ``source`` that stand alone, with a warning that names the column and the first."""
     at = np.flatnonzero(standing_alone(source.value))
     if len(at) == 0:
         return

@@ -180,7 +180,7 @@ def proposal_words(splits: Mapping[str, str], groups: Mapping[str, str]) -> str:
 
 
 def _parted_by(recordings: Iterable[str], days: Mapping[str, str], named: bool = False) -> str:
-    """Name what parts recordings: speed, and what differs among them; ``named``: with its values."""
+    """Name what parts recordings, speed and what differs among them; with ``named``, also its values."""
     recordings, by = list(recordings), ["speed"]
     for what, kind_of in (("day", days.get), ("surface", _surface)):
         kinds = sorted({kind for r in recordings if (kind := kind_of(r))})

@@ -198,7 +198,7 @@ class FaultOutcome:
     ) -> FaultOutcome:
         """Outcome of a fault from the start of ``clock`` on, in a drive with sample time ``Ts`` [s].
 
-        ``s``, ``untouched``: the clock [s] at the detector's first alarm with and without the fault, or None.
+        ``s`` and ``untouched`` are the times [s] of the first alarm with and without the fault, or None.
         ``refutable_s`` is the result of `refutable`.
         """
         in_time = clock.seconds[clock.end - 1]

@@ -32,15 +32,7 @@ from ..vehicle.project import EvaluationSettings, Project
 from .baseline_study import BaselineStudy, evaluate_baselines
 from .causes import DIAGNOSED_S, CauseOutcome, CauseOutcomes, cause_table
 from .comparison import EXPORTED, LEFT_ONE_OUT, MONITOR, POOLS, duels
-from .detection import (
-    FaultOutcome,
-    Injection,
-    Outcomes,
-    fault_rows,
-    margins,
-    ranking,
-    refutable,
-)
+from .detection import FaultOutcome, Injection, Outcomes, fault_rows, margins, ranking, refutable
 from .false_alarms import alarmed_pieces, alarming, false_alarms, piece_starts
 from .judged_drives import FLOORS, JudgedDrives, calibrations_of, joint_thresholds, rate_of
 from .parts import Names, name_after, part_table

@@ -19,17 +19,7 @@ NOTHING, NO_SINGLE = "none", "no single part"
 
 
 def name_after(replay: Replay, start_s: float) -> str:
-    """Return the first part that a window names after a time.
-
-    Parameters
-    ----------
-    replay : Replay
-    start_s : float, s after the drive's first sample
-
-    Returns
-    -------
-    str, NOTHING without one
-    """
+    """Return the first part that a window names after ``start_s`` from the first sample, else NOTHING."""
     for named in replay.parts or ():
         if named.until_s > start_s:
             return " or ".join(named.parts) or NO_SINGLE
@@ -37,16 +27,7 @@ def name_after(replay: Replay, start_s: float) -> str:
 
 
 def part_table(names: Iterable[Names]) -> list[dict]:
-    """Count the named parts by fault and way; the untouched drives come first.
-
-    Parameters
-    ----------
-    names : Iterable of Names
-
-    Returns
-    -------
-    list of dict
-    """
+    """Count the named parts by fault and way; the untouched drives come first."""
     total: Names = {}
     for by_case in names:
         for case, said in by_case.items():

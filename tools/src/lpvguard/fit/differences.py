@@ -57,18 +57,7 @@ class _Sums:
 def differences(fit: Fit, estimate: Estimate, groups: Mapping[str, str]) -> list[str]:
     """Name the parameters that differ between drives, and between groups, by more than their errors.
 
-    Parameters
-    ----------
-    fit : Fit, of the estimate
-    estimate : Estimate
-    groups : Mapping[str, str], group by drive; drives without one have the date in their name
-
-    Returns
-    -------
-    list[str], a sentence each
-
-    References
-    ----------
+    ``groups`` holds the group by drive; drives without one have the date in their name. The test is that of
     Cochran, The combination of estimates from different experiments, Biometrics 10, 1954.
     """
     compared = [
@@ -138,16 +127,6 @@ def _sentences(what: str, own: list[_Own], names: list[str], least: list[float])
 def outlook(recordings: int) -> str:
     """Say what a number of calibrating recordings allows, and how many more the next claim needs.
 
-    Parameters
-    ----------
-    recordings : int
-
-    Returns
-    -------
-    str
-
-    Examples
-    --------
     >>> outlook(9)
     '9 recordings calibrate: alpha 0.1; 10 more would allow alpha 0.05'
     """

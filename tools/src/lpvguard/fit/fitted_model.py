@@ -191,10 +191,7 @@ def fit(
         [*map(str, [*screen.faults.values(), *beside.values()]), *_findings(estimate, of_fitted)],
         differences(runner, estimate, {e.name: e.group for e in experiments if e.group}),
         "; ".join(
-            [
-                outlook(_calibrating(experiments, setting | skipped)),
-                *_advice(experiments, setting, drives),
-            ]
+            [outlook(_calibrating(experiments, setting | skipped)), *_advice(experiments, setting, drives)]
         ),
         {e.name: artefacts.file_hash(e.path) for e in experiments},
         recentring,

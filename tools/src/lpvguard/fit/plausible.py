@@ -17,8 +17,8 @@ def require_plausible(project: Project, doubtful: Sequence[Project] = ()) -> Non
     """Raise InputError where the model's steady turn or lag is beyond the kind that `[fit]` states. Only a
     model from one steering angle in rad to a yaw rate in rad/s is judged. It is judged by wheelbase and
     understeer, from ``v/G = L + K v^2`` over its speeds. It is also judged by its delay plus its slowest time
-    constant. ``doubtful``: the model with one unknown each at an end of its confidence interval. Where one of
-    them is within a range, the drives do not exclude it."""
+    constant. ``doubtful`` are models with one unknown at an end of its confidence interval. The drives do not
+    exclude what one of them has within a range."""
     kind = project.fit.kind
     if kind is None or [s.unit for s in (*project.actuators, *project.outputs)] != ["rad", "rad/s"]:
         return

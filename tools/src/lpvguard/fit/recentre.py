@@ -38,12 +38,9 @@ FEWEST_FRAMES = 3
 
 @dataclass(frozen=True)
 class Recentring:
-    """Relative errors of the frames, medians.
+    """Median relative errors of the frames: of the fitted unknowns, and of recentred ones on drives left out.
 
-    Attributes
-    ----------
-    fitted, left_out : float, of the fitted unknowns, and of recentred ones on drives that were left out
-    taken : bool, whether recentred unknowns are taken
+    ``taken`` tells whether recentred unknowns are taken.
     """
 
     fitted: float
@@ -58,22 +55,9 @@ class Recentring:
 def recentred(unknowns: Unknowns, estimate: Estimate, drives: Sequence[Drive]) -> tuple[Estimate, Recentring]:
     """Move the common error of drives into the parameters and the delay, where it pays.
 
-    Parameters
-    ----------
-    unknowns : Unknowns
-    estimate : Estimate, by least squares
-    drives : Sequence[Drive]
-
-    Returns
-    -------
-    tuple of Estimate and Recentring
-        Standard errors come from the scores of the drives. The estimate is the given one where drives that
-        were left out, a fifth at a time, have no smaller error.
-
-    Raises
-    ------
-    InputError
-        If the model has several inputs, or no frame counts.
+    Standard errors come from the scores of the drives. The estimate stays the given one, by least squares,
+    where drives that were left out, a fifth at a time, have no smaller error. Raises InputError if the model
+    has several inputs, or no frame counts.
     """
     error = _RelativeError(unknowns, estimate.theta, drives)
     fold = error.drive % FOLDS

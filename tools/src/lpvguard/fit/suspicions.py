@@ -141,7 +141,8 @@ def shifts(project: Project, theta: np.ndarray, drive: Drive) -> Iterator[Readin
     """Readings with the outputs moved to where they follow the inputs best.
 
     Best is the largest product over the overlap, and the largest correlation, which a short overlap after a
-    long shift does not hide. Shifts within the range of the delay are left out. ``theta`` (p,): unknowns.
+    long shift does not hide. Shifts within the range of the delay are left out. ``theta`` (p,) holds the
+    unknowns.
     """
     model = Unknowns.from_project(project).model(theta)
     yhat, judged = model.simulate(drive.v, drive.u, drive.y[0]), judged_samples(model, drive.v)

@@ -185,11 +185,7 @@ class ChangeTest:
         return replace(self, largest=met.largest, size=np.maximum(ratio * rms, SMALLEST * self.unit[:, :1]))
 
     def calibrated(
-        self,
-        scores: dict[str, float],
-        alpha: float,
-        recordings: Recordings,
-        target: RateTarget | None = None,
+        self, scores: dict[str, float], alpha: float, recordings: Recordings, target: RateTarget | None = None
     ) -> ChangeTest:
         """The test with the threshold from the scores of calibration drives."""
         return replace(self, calibration=calibrated_change(scores, alpha, recordings, target))
@@ -267,12 +263,7 @@ def calibrated_change(
     THEORY 7.7.
     """
     return calibrate(
-        scores,
-        alpha,
-        floor=FLOOR,
-        unstated_floor=UNSTATED_FLOOR,
-        recordings=recordings,
-        target=target,
+        scores, alpha, floor=FLOOR, unstated_floor=UNSTATED_FLOOR, recordings=recordings, target=target
     )
 
 

@@ -62,16 +62,10 @@ def confirmed(scores: np.ndarray, k: int, m: int) -> np.ndarray:
 
 
 def statistics(bins: np.ndarray, margin: np.ndarray, designs: Iterable[Design]) -> dict[Design, np.ndarray]:
-    """Compute the statistics of counted frames, as the core does.
+    """Compute the statistic (F,) of each counted frame by design, as the core does.
 
-    Parameters
-    ----------
-    bins, margin : ndarray (F,), bin and margin of each frame, in the order of judgement
-    designs : Iterable of Design
-
-    Returns
-    -------
-    dict, statistic (F,) of each counted frame by design; 0 before k frames of its bin
+    It is 0 before k frames of its bin. ``bins`` and ``margin`` (F,) are those of each frame, in the order of
+    judgement.
     """
     members = [np.flatnonzero(bins == k) for k in np.unique(bins)]
     by_design = {}
@@ -275,16 +269,7 @@ class Confirmation:
 
 
 def designs_of(project: Project) -> tuple[Design, ...]:
-    """List the compared designs, with that of the project.
-
-    Parameters
-    ----------
-    project : Project
-
-    Returns
-    -------
-    tuple of Design
-    """
+    """List the compared designs, with that of the project."""
     return tuple(dict.fromkeys((*DESIGNS, (project.frame_test.confirm, project.frame_test.of_last))))
 
 

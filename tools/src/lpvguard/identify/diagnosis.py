@@ -243,7 +243,7 @@ class DiagnosisScales:
 
     @classmethod
     def from_windows(cls, project: Project, unit: np.ndarray, drives: Sequence[Windows]) -> DiagnosisScales:
-        """Scales from the windows of every bound-setting drive, with sizes ``unit`` (n_y, 2).
+        """Return the scales from the windows of the drives that set the bounds; ``unit`` (n_y, 2) are sizes.
 
         Raises InputError without a window.
         """

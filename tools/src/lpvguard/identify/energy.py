@@ -419,17 +419,12 @@ class EnergyTest:
         return replace(self, sigma=self.sigma * joint[:, None], joint=joint)
 
     def calibrated(
-        self,
-        scores: dict[str, float],
-        alpha: float,
-        recordings: Recordings,
-        target: RateTarget | None = None,
+        self, scores: dict[str, float], alpha: float, recordings: Recordings, target: RateTarget | None = None
     ) -> EnergyTest:
         """The test with the threshold from the scores of calibration drives."""
         floor = 1.0 + ROUNDING
         return replace(
-            self,
-            calibration=calibrate(scores, alpha, floor=floor, recordings=recordings, target=target),
+            self, calibration=calibrate(scores, alpha, floor=floor, recordings=recordings, target=target)
         )
 
     def coefficients(self) -> tuple[dict[str, int], dict[str, int], dict[str, np.ndarray]]:
@@ -482,10 +477,7 @@ class EnergyTest:
         stored = (data["memory_s"], *data["band_hz"], data["settle_samples"], *data.get("bands", ()))
         if stored != (self.memory_s, *self.band_hz, self.settle, *self.bands):
             raise InputError(
-                where,
-                "memory_s, band_hz, settle_samples, bands",
-                f"{stored}",
-                "the values of project.json",
+                where, "memory_s, band_hz, settle_samples, bands", f"{stored}", "the values of project.json"
             )
         self._require_stated(data, where)
         return replace(

@@ -188,13 +188,8 @@ class OutputSums:
     ) -> tuple[np.ndarray, np.ndarray, float]:
         """Sums with the deviations of drives and groups integrated out.
 
-        Parameters
-        ----------
-        drive, group : (DIRECTIONS,) variances; ``group`` is None where drives have no groups.
-
-        Returns
-        -------
-        gram (p, p), cross (p,), and the term of the deviations in the log likelihood.
+        ``drive`` and ``group`` (DIRECTIONS,) are variances; ``group`` is None where drives have no groups.
+        Returns gram (p, p), cross (p,), and the term of the deviations in the log likelihood.
         """
         U, c, A = self.drive_gram, self.drive_cross, self.own
         gram, cross, logs = self._without(self.gram, self.cross, U, c, A, drive)
@@ -285,12 +280,9 @@ def _inner(A: np.ndarray, variance: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Hyperparameters:
-    """Most probable hyperparameters and their spread.
+    """Most probable hyperparameters ``x`` (H,), logarithms of ratios to SIZES, and their spread.
 
-    Attributes
-    ----------
-    x : (H,) logarithms of ratios to SIZES.
-    root : (H, H) matrix whose product with its transpose is their covariance.
+    ``root`` (H, H) times its transpose is their covariance.
     """
 
     x: np.ndarray

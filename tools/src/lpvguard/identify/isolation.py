@@ -120,18 +120,9 @@ def columns_of(project: Project, spread_u: np.ndarray, spread_y: np.ndarray) -> 
 
 
 def odds_of(project: Project, window_s: float) -> float:
-    """Log-odds that a window must exceed the mean odds by, for the project's rate of alarms.
+    """Log-odds that a window of ``window_s`` must exceed the mean odds by, for the project's rate of alarms.
 
-    By Markov's inequality, healthy windows then differ at most that often.
-
-    Parameters
-    ----------
-    project : Project
-    window_s : float, s, length of a window
-
-    Returns
-    -------
-    float, at least ODDS
+    It is at least ODDS. By Markov's inequality, healthy windows then differ at most that often.
     """
     rate = project.frame_test.alarms_per_1000_h
     return ODDS if rate is None else max(ODDS, float(np.log(3.6e6 / (rate * window_s))))

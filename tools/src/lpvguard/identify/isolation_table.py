@@ -118,14 +118,5 @@ def _pairs(pairs: Iterable[tuple[str, str]]) -> str:
 
 
 def size_names(isolation: Isolation) -> list[str]:
-    """List the names of the sizes in the order of the core.
-
-    Parameters
-    ----------
-    isolation : Isolation
-
-    Returns
-    -------
-    list of str, values of `PartColumn.what`
-    """
+    """List the names of the sizes, values of `PartColumn.what`, in the order of the core."""
     return list(dict.fromkeys(c.what for c in isolation.columns))

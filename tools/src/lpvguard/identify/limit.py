@@ -50,7 +50,15 @@ class LimitSums:
         d = np.divide(along, power, out=np.zeros(shape, complex), where=enough)
         residue = np.where(enough, squares - np.abs(d) ** 2 * P, 0.0)
         freedom = np.where(enough, count[:, :, None] - 1, 0.0)
-        return cls(enough + 0.0, freedom, residue, P, P**2, P * d.real, P * d.real**2)
+        return cls(
+            drives=enough + 0.0,
+            freedom=freedom,
+            residue=residue,
+            power=P,
+            power_squared=P**2,
+            along=P * d.real,
+            along_squared=P * d.real**2,
+        )
 
     @classmethod
     def joined(cls, parts: Iterable[LimitSums]) -> LimitSums:

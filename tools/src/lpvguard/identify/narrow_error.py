@@ -28,22 +28,8 @@ def narrow_excitation(
 ) -> Excitation:
     """Excitation of the change test in a drive, by what a vehicle without response in one bin would show.
 
-    Parameters
-    ----------
-    test : ChangeTest
-    name : str, of the drive
-    yhat : ndarray (N, n_y), nominal output [output units]
-    v : ndarray (N,), speed [m/s]
-    estimator : Estimator
-
-    Returns
-    -------
-    Excitation
-        Its rows are one a hop, of the ratio of a gain error of 1. The ratio is proportional to the error.
-
-    References
-    ----------
-    THEORY 7.4.
+    ``yhat`` (N, n_y) is the nominal output, ``v`` (N,) the speed. The rows are one a hop, of the ratio of a
+    gain error of 1. The ratio is proportional to the error (THEORY 7.4).
     """
     K, settled = estimator.n_bins, estimator.settled(v)
     rows = [{"group": np.zeros(0, int), "hash": np.zeros(0, np.uint64), "dead": np.zeros(0)}]

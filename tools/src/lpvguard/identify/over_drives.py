@@ -228,7 +228,7 @@ class OverDrives:
     def uncertainty(
         self, first: Part, gamma_w: np.ndarray, error: ModelError, setting: list[Experiment]
     ) -> tuple[Part, list[FittedWeight]]:
-        """Result of step 5 at ``gamma_w`` (K,), and W_delta above its nu and above the model error."""
+        """Return step 5 at ``gamma_w`` (K,), and weights W_delta above its nu and above the model error."""
         project, estimator = self.reader.project, self.reader.estimator
         grid = front_grid(first["B1"], first["B2"], estimator, project.bounds.structure)
         parts = self.over("bounds", partial(uncertainty_pass, self.reader, gamma_w, grid), setting)
@@ -394,11 +394,7 @@ class OverDrives:
         require_calibration(self.drives, (e.name for e in drives.others), self.left_out, judged)
 
     def visibility(
-        self,
-        weights: Weights,
-        calibration: Calibration,
-        pools: Pools | None,
-        change: ChangeTest | None,
+        self, weights: Weights, calibration: Calibration, pools: Pools | None, change: ChangeTest | None
     ) -> dict:
         """Content of visibility.json: the smallest visible errors in each speed cell and bin."""
         estimator, factor = self.reader.estimator, weights.inflation

@@ -130,14 +130,9 @@ class PoolNeeds:
 
 
 def needs_of(
-    e: Experiment,
-    frames: Iterable[FrameSet],
-    v: np.ndarray,
-    estimator: Estimator,
-    sizes: PoolSizes,
-    n_y: int,
+    e: Experiment, frames: Iterable[FrameSet], v: np.ndarray, estimator: Estimator, sizes: PoolSizes, n_y: int
 ) -> PoolNeeds:
-    """Needs of a drive; ``v`` (N,): its speed [m/s]."""
+    """Return what the frames of a drive with the speed ``v`` (N,) [m/s] need as bounds."""
     K, way = estimator.n_bins, np.concatenate([[0.0], np.cumsum(v)])
     largest = np.zeros((SPEEDS + 1, K, len(CANDIDATES), n_y))
     seen = np.zeros((SPEEDS + 1, K), bool)
@@ -238,7 +233,7 @@ def remainders_of(
     W: np.ndarray,
     own: np.ndarray,
 ) -> Remainders:
-    """Remainders of a drive beside ``W`` (SPEEDS, K, n_y); ``v`` (N,): its speed [m/s].
+    """Return the remainders beside ``W`` (SPEEDS, K, n_y) of a drive with the speed ``v`` (N,) [m/s].
 
     ``own`` (SPEEDS, K) says where bounds are those of a part's speeds, not of all.
     """
@@ -313,7 +308,7 @@ class Pools:
         return self.unit / np.stack([self.bound(without), self.W], axis=2)
 
     def beside(self, threshold: float, own: float) -> Pools:
-        """The pools in a unit in which their threshold ``own`` becomes the ``threshold`` of frames."""
+        """Scale the pools' ratios so that their threshold ``own`` becomes the ``threshold`` of frames."""
         return replace(self, unit=threshold / own)
 
     def ratios(self, without: str | None = None) -> dict[str, float]:

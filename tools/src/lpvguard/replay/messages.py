@@ -65,9 +65,7 @@ def schemas(columns: Iterable[str]) -> dict[str, dict[str, Any]]:
 
 
 def messages(
-    series: pa.Table,
-    alarms: Iterable[Alarm | dict[str, Any]],
-    parts: Iterable[dict[str, Any]] = (),
+    series: pa.Table, alarms: Iterable[Alarm | dict[str, Any]], parts: Iterable[dict[str, Any]] = ()
 ) -> list[SeriesMessage]:
     """Convert a time series, its alarms and the named parts to messages, in the order of time.
 

@@ -60,15 +60,8 @@ class NamedPart:
 def alarms_begin(verdict: np.ndarray, alarming: bool = False) -> tuple[np.ndarray, bool]:
     """Mark the samples with which the core's verdict begins to alarm; samples without a verdict are left out.
 
-    Parameters
-    ----------
-    verdict : ndarray (N,) of int, codes of monitor.h
-    alarming : bool, optional, whether it alarmed before
-
-    Returns
-    -------
-    ndarray (N,) of bool
-    bool, whether it alarms after the last sample
+    ``verdict`` (N,) holds codes of monitor.h. ``alarming`` tells whether it alarmed before; the second
+    result, after the last sample.
     """
     judged = ~np.isin(verdict, [VERDICTS.index(word) for word in ("stale", "fault")])
     state, begin = np.r_[alarming, is_alarming(verdict[judged])], np.zeros(len(verdict), bool)
@@ -77,13 +70,7 @@ def alarms_begin(verdict: np.ndarray, alarming: bool = False) -> tuple[np.ndarra
 
 
 class PartNamer:
-    """Names parts after the alarms of drives.
-
-    Parameters
-    ----------
-    project : Project, with ``isolation``
-    isolation : Isolation
-    """
+    """Names parts after the alarms of drives, for a project with ``isolation``."""
 
     def __init__(self, project: Project, isolation: Isolation):
         self.project, self.isolation = project, isolation
@@ -132,17 +119,9 @@ class PartNamer:
     ) -> Iterator[NamedPart]:
         """Yield the part that differs in a window of a drive, if any.
 
-        Parameters
-        ----------
-        drive : Drive
-        start, end : float, s after the drive's first sample
-        alarm_s : float or None, s, alarm that began the window
-        onsets_s : Sequence of (float, float), s, times of alarms and of their onsets
-        clock_s : float, optional, s, offset for the times of the result
-
-        Yields
-        ------
-        NamedPart
+        ``start`` and ``end`` count from the drive's first sample. ``alarm_s`` is the alarm that began the
+        window. ``onsets_s`` holds the times of alarms and of their onsets. ``clock_s`` is added to the times
+        of the result. All are in s.
         """
         if alarm_s is None and end - start <= SHORTEST * self.isolation.window_s:
             return

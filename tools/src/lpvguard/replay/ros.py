@@ -106,10 +106,7 @@ class Ros2Recorder:
         self._last, self._largest = -PERIOD_NS, NO_RATIO
 
     def hear(
-        self,
-        series: pa.Table,
-        alarms: Iterable[Alarm | dict[str, Any]],
-        parts: Sequence[dict[str, Any]] = (),
+        self, series: pa.Table, alarms: Iterable[Alarm | dict[str, Any]], parts: Sequence[dict[str, Any]] = ()
     ) -> None:
         """Write the messages of the next piece; ``parts`` are those of the JSON of `replay`."""
         stamps = np.round(numbers(series["t"]) * 1e9).astype(np.int64)

@@ -368,13 +368,7 @@ def _read(drives: Path, names: list[str], Ts: float) -> list[Drive]:
 
 
 def _project(
-    name: str,
-    model: str,
-    signals: Signals,
-    folder: Path,
-    names: list[str],
-    Ts: float,
-    known: Known,
+    name: str, model: str, signals: Signals, folder: Path, names: list[str], Ts: float, known: Known
 ) -> tuple[Project, str, list[str]]:
     """The project, its text, and notes; frames are tried until enough of the drives counts."""
     drives = _read(folder, names, Ts)

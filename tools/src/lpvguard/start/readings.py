@@ -197,10 +197,7 @@ def _require_usual(
     units = {role: tuple(dict.fromkeys((*choices[role], *USUAL_UNITS[role]))) for role in ROLES}
     anywhere = _wheels(replace(known, at_steering_wheel=None))
     asked = {role: choices[role] if role in certain else units[role] for role in ROLES}
-    for others, wheels in (
-        (asked, _wheels(known) if "input" in certain else anywhere),
-        (units, anywhere),
-    ):
+    for others, wheels in ((asked, _wheels(known) if "input" in certain else anywhere), (units, anywhere)):
         likely = [r for r in _sorted(measured, others, wheels) if r.beyond == 0.0]
         other = min(likely, key=lambda r: r.atypical, default=best)
         if other.atypical >= best.atypical - DOUBTED:

@@ -157,11 +157,7 @@ def _acceleration(names: list[str], blocks: list[_Blocks]) -> Scored:
         if unit and correlation >= LEAST_CORRELATION:
             scale = float(np.sign(slope)) * {"m/s^2": 1.0, "g": STANDARD_GRAVITY}[unit]
             level = float(np.mean(scale * rows[:, 2] - rows[:, 0] * rows[:, 1]))
-            keys: Keys = {
-                "over": "v",
-                "over_min": SLOW_MPS,
-                "offset": float(f"{-level:.3g}"),
-            }
+            keys: Keys = {"over": "v", "over_min": SLOW_MPS, "offset": float(f"{-level:.3g}")}
             why = f"{name} in {unit} over the speed, correlation {correlation:.2f} with speed times yaw rate"
             terms = ((name, {"scale": scale}),)
             yield correlation, Redundant("acceleration_rate", "r_ay", terms, keys, -1, why)

@@ -22,10 +22,7 @@ Signals = tuple[dict[str, Proposal], dict[str, tuple[float, float]], list[Redund
 
 
 def signal_map_text(
-    signals: Signals,
-    Ts: float,
-    read_by: dict[str, str | float | None],
-    sign_bit: dict[str, str],
+    signals: Signals, Ts: float, read_by: dict[str, str | float | None], sign_bit: dict[str, str]
 ) -> str:
     """Write a signal map for `ingest`.
 

@@ -485,8 +485,7 @@ class NominalModel:
         index = np.asarray(table.varying, np.intp)
         reals = [np.ascontiguousarray(a, float) for a in (table.cell, table.position(v), older, newer)]
         native.kernels("recursion").lpvg_scheduled(
-            *map(ctypes.c_ssize_t, sizes),
-            *map(native.pointer, (index, *reals, table.base.copy(), states)),
+            *map(ctypes.c_ssize_t, sizes), *map(native.pointer, (index, *reals, table.base.copy(), states))
         )
         return states
 

@@ -41,13 +41,7 @@ BELOW = (1e-7, 1e-6, 1e-5, 3e-5, 1e-4, 2e-4, 5e-4, 1e-3, 2e-3, 5e-3, 1e-2)
 
 @dataclass(frozen=True)
 class DualCertificate:
-    """Factors of Z₁ = first firstᵀ and Z₂ = second secondᵀ.
-
-    Attributes
-    ----------
-    first : ndarray, shape (n + p1 + m1, k)
-    second : ndarray, shape (n + m1 + p1, k)
-    """
+    """Factors of Z₁ = first firstᵀ and Z₂ = second secondᵀ: (n + p1 + m1, k) and (n + m1 + p1, k)."""
 
     first: np.ndarray
     second: np.ndarray

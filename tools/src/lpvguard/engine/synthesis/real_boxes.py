@@ -74,11 +74,8 @@ class ParameterBox:
 class Shift:
     """Transformation of a loop with Δ into a loop with the Δ̃ of one box.
 
-    Parameters
-    ----------
-    structure : Structure
-    box : ParameterBox, of the parameters of the real blocks, in the order of the blocks
-    size : float, size of complex blocks, 1/β
+    ``box`` holds the parameters of the real blocks, in the order of the blocks. ``size`` of complex blocks is
+    1/β.
     """
 
     def __init__(self, structure: Structure, box: ParameterBox, size: float):
@@ -119,19 +116,10 @@ class Shift:
 def proved_at(
     M: np.ndarray, moved: np.ndarray, structure: Structure, slack: float, nearby: PointBound | None
 ) -> PointBound | None:
-    """Find scalings that prove μ(M) < 1.
+    """Find scalings that prove μ(M) < 1 for M (Σcols, Σrows); None where no scalings prove it.
 
-    Parameters
-    ----------
-    M : ndarray, shape (Σcols, Σrows)
-    moved : ndarray, shape (Σcols, Σrows), rounding of the entries of M
-    structure : Structure
-    slack : float, the search for scalings ends at a bound this far below 1
-    nearby : PointBound or None, scalings to try first
-
-    Returns
-    -------
-    PointBound, or None where no scalings prove the bound
+    ``moved`` (Σcols, Σrows) is the rounding of the entries of M. The search ends at a bound ``slack`` below
+    1. It tries the scalings ``nearby`` first.
     """
     if not np.isfinite(M).all():
         return None
@@ -166,11 +154,7 @@ class Part:
 class Prover:
     """Proof of μ < β, part by part.
 
-    Parameters
-    ----------
-    loop : StateSpace or ndarray, a loop in continuous time, or M, shape (Σcols, Σrows), at one frequency
-    structure : Structure
-    slack : float, parameter of ``proved_at``
+    ``loop`` is in continuous time, or M (Σcols, Σrows) at one frequency. ``slack`` is that of `proved_at`.
     """
 
     def __init__(self, loop: StateSpace | np.ndarray, structure: Structure, slack: float = 0.0):
@@ -191,11 +175,8 @@ class Prover:
     def advance(self, part: Part, beta: float) -> tuple[Part | None, list[Part], float]:
         """Prove one cell of ``part`` at level ``beta``.
 
-        Returns
-        -------
-        proved : Part, or None where no scalings prove a cell
-        rest : list of Part, parts that remain to be proved
-        omega : float, frequency [rad/s] of the search for scalings
+        Returns the proved cell (None where no scalings prove one), the parts that remain, and the frequency
+        [rad/s] of the search for scalings.
         """
         shift = Shift(self.structure, part.box, 1 / beta)
         centre, M = self._centre(part), None

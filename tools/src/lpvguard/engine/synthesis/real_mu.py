@@ -70,20 +70,12 @@ def real_mu(
     least: float = 0.0,
     known: float = np.inf,
 ) -> RealMu:
-    """Bound μ of a loop that has real blocks.
+    """Bound μ of a loop that has real blocks, from ``low`` to ``high`` [rad/s].
 
-    Parameters
-    ----------
-    loop : StateSpace or ndarray
-        A stable loop in continuous time, or M, shape (Σcols, Σrows), at one frequency.
-    structure : Structure
-    low, high : float, interval in rad/s, both equal for one frequency
-    rtol : float
-        Target of the relative gap between the bounds. The gap is larger where the allowed number of parts is
-        too small.
-    least : float, level from which the search begins
-    known : float, level that is proved already
-        The search ends at this level, and its result then has no proof.
+    ``loop`` is stable and in continuous time, or M (Σcols, Σrows) at one frequency. ``rtol`` is the target of
+    the relative gap between the bounds. The gap is larger where the allowed number of parts is too small. The
+    search begins at ``least``. It ends at ``known``, a level that is proved already, and its result then has
+    no proof.
     """
     prover = Prover(loop, structure, 0.4 * rtol)
     grid = _grid(loop, low, high)

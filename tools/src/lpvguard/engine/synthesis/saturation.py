@@ -125,8 +125,7 @@ def limited_loop(
     return series(
         append(left.select(slice(0, eta), slice(0, eta)), gain(np.eye(n_u + performance.cols), P.dt)),
         series(
-            loop,
-            append(right.select(slice(0, xi), slice(0, xi)), gain(np.eye(n_u + performance.rows), P.dt)),
+            loop, append(right.select(slice(0, xi), slice(0, xi)), gain(np.eye(n_u + performance.rows), P.dt))
         ),
     )
 

@@ -26,33 +26,11 @@ def description(
     parameters: dict[str, float],
     coefficients_crc: int,
 ) -> str:
-    """Write the ARXML of a component.
+    """Write the ARXML of a component (AUTOSAR Classic Platform 4.2.2, Software Component Template).
 
-    Parameters
-    ----------
-    name : str
-        Short name of the component.
-    period_s : float
-        Sample period in s.
-    received, sent : sequence of Variable
-        Elements of the required and of the provided port.
-    parameters : dict of str to float
-        Thresholds of the coefficients.
-    coefficients_crc : int
-        CRC-32 of the coefficients.
-
-    Returns
-    -------
-    str
-
-    Raises
-    ------
-    InputError
-        If the package autosar is not installed.
-
-    References
-    ----------
-    AUTOSAR Classic Platform 4.2.2, Software Component Template.
+    ``received`` and ``sent`` are the elements of the required and of the provided port. ``parameters`` holds
+    the thresholds of the coefficients, and ``coefficients_crc`` their CRC-32. Raises InputError without the
+    package autosar.
     """
     autosar = optional("autosar", "autosar")
     workspace = autosar.workspace(version=RELEASE)

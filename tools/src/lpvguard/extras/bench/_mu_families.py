@@ -444,15 +444,7 @@ _CONTINUOUS: list[Family] = [
 ]
 FAMILIES: dict[str, list[Family]] = {
     "mu": [diagonal, rank_one, real_matrix, repeated, triangular, similar, ring, nilpotent],
-    "mu_interval": [
-        *_CONTINUOUS,
-        discrete,
-        lightly_damped,
-        delayed,
-        cascade,
-        beside_the_axis,
-        at_the_ends,
-    ],
+    "mu_interval": [*_CONTINUOUS, discrete, lightly_damped, delayed, cascade, beside_the_axis, at_the_ends],
 }
 
 

@@ -18,16 +18,6 @@ from ...control.limits import largest_step
 from ...control.moving_speed import scaled_families
 from ...control.plants import DesignProblem
 from ...control.robust_run import sampled_block
-from ...control.violations import (
-    Loop,
-    SpeedGrid,
-    closed_period,
-    drawn_corners,
-    injected,
-    ramps,
-    sinusoid,
-    triangle,
-)
 from ...core.scheduled import Scheduled
 from ...engine.synthesis.dk import Scaling
 from ...engine.synthesis.limited_history import AIMS, LimitedHistory
@@ -36,6 +26,7 @@ from ...engine.synthesis.statespace import StateSpace, append
 from ...engine.synthesis.varying import History, OverSpeed, close
 from ...engine.synthesis.worst_case import close_delta, worst_case
 from ...identify.identification import StoredIdentification
+from ._violations import Loop, SpeedGrid, closed_period, drawn_corners, injected, ramps, sinusoid, triangle
 
 CONSTRUCTED = 4
 """Number of nodes at which the lower bound of mu constructs a Delta."""

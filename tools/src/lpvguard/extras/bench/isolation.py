@@ -30,15 +30,7 @@ from ...vehicle.nominal import NominalModel
 from ...vehicle.project import Project, load_project
 from . import parser, require_at_least, show
 from ._planted_parts import held_out, pieces_of, planted
-from ._redundant_car import (
-    DOUBLE,
-    FAULTS,
-    FURTHER,
-    NUISANCES,
-    PartFault,
-    redundant_drives,
-    redundant_project,
-)
+from ._redundant_car import DOUBLE, FAULTS, FURTHER, NUISANCES, PartFault, redundant_drives, redundant_project
 
 HEALTHY_DRIVES, HEALTHY_S, FROM_S = 20, 180.0, 40.0
 """Number and length [s] of the drives for the scales; time at which a fault begins [s]."""

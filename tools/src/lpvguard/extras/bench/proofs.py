@@ -3,7 +3,7 @@
 The first table has random loops within the limits of each certificate, each with its worst input
 (bench/_trials.py). For every proof, it shows the worst number divided by the proved number. No ratio may be
 above 1. The second table has the proved rate, and the least |dv/dt| at which a search finds a gain above 1,
-or growth. The search uses admissible Delta (control/violations.py). A search without a violation proves
+or growth. The search uses admissible Delta (bench/_violations.py). A search without a violation proves
 nothing. A line between the tables compares the largest mu at a frozen speed with the largest optimum of
 controllers for one speed. The difference is the cost of scheduling, or of synthesis for other objectives.
 """
@@ -17,10 +17,10 @@ from ...base.claims import worst_frozen
 from ...base.errors import InputError
 from ...control import controller_file
 from ...control.design import frozen_optimum
-from ...control.violations import Found, Search, fastest_growth, least_violating
 from ...identify import identification as identify
 from . import parser, show
 from ._trials import NEAR, Trial, Trials
+from ._violations import Found, Search, fastest_growth, least_violating
 
 LOOPS, SEED, SAMPLES = 500, 21, 3000
 LARGEST_MPS2, SMALLEST_MPS2 = 50.0, 0.015

@@ -281,10 +281,5 @@ def main(argv: list[str]) -> None:
                     total.append(counts)
                 else:
                     total[i] = {key: total[i][key] + counts[key] for key in counts}
-    result = {
-        "vehicle": options.vehicle,
-        **asdict(size),
-        "seeds": list(seeds),
-        "rounds": total,
-    }
+    result = {"vehicle": options.vehicle, **asdict(size), "seeds": list(seeds), "rounds": total}
     show(words(result), result, options.json_out)

@@ -203,13 +203,7 @@ def run(experiments: int = 20, bins: int = 1024, seed: int = 0, peers: bool = Tr
         peer = _peer_us(kernel, data) if peers else None
         rows.append(
             KernelRow(
-                kernel,
-                points,
-                us,
-                TARGET_US[kernel],
-                peer,
-                peer / us if peer else None,
-                worst.get(kernel),
+                kernel, points, us, TARGET_US[kernel], peer, peer / us if peer else None, worst.get(kernel)
             )
         )
     return rows

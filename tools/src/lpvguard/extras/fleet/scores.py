@@ -123,24 +123,8 @@ def recordings_of(
 ) -> list[Scored]:
     """Score the recordings of drives, in the order of their first drives.
 
-    The samples of a recording are kept until it is complete.
-
-    Parameters
-    ----------
-    replayer : Replayer
-    experiments : Sequence of Experiment
-    judged_s : float, s, judged driving per score
-    workers : Map
-    progress : Callable, gets the name of each scored drive
-
-    Returns
-    -------
-    list of Scored
-
-    Raises
-    ------
-    InputError
-        If a drive cannot be read.
+    The samples of a recording are kept until it is complete. ``judged_s`` is the judged driving per score
+    [s]. ``progress`` gets the name of each scored drive. Raises InputError if a drive cannot be read.
     """
     most = round(judged_s / replayer.project.Ts_s)
     missing = Counter(e.recording for e in experiments)

@@ -28,7 +28,9 @@ def model_description(
 ) -> bytes:
     """Return modelDescription.xml of FMI ``version`` 2 or 3. ``name`` is the model identifier, ``text`` says
     what it is, ``token`` identifies the binary and the variables together. ``period_s`` is the only step
-    size. ``sources`` lie below ``sources/``. ``serializes``: a state can become bytes."""
+    size. ``sources`` lie below ``sources/``. ``serializes`` says that a
+    state can become bytes.
+    """
     step = f"{period_s:.9g}"
     root = xml.Element(
         "fmiModelDescription",
@@ -194,11 +196,7 @@ def _variable_2(parent: xml.Element, variable: Variable) -> None:
         xml.SubElement(scalar, "Enumeration", declaredType=variable.kind)
 
 
-_TYPES = {
-    "integer": ("Integer", "UInt32"),
-    "boolean": ("Boolean", "Boolean"),
-    "string": ("String", "String"),
-}
+_TYPES = {"integer": ("Integer", "UInt32"), "boolean": ("Boolean", "Boolean"), "string": ("String", "String")}
 """Types of FMI 2.0 and of FMI 3.0."""
 
 

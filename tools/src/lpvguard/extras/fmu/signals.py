@@ -9,17 +9,10 @@ HEADER = "lpvg_fmu_signals.hpp"
 
 
 def signals_header(messages: Sequence[Message]) -> str:
-    """Return the C++ header that makes the messages' frames.
+    """Return the C++ header that makes the frames of messages with a generated codec.
 
-    Parameters
-    ----------
-    messages : sequence of Message, with generated codec, in the order of ``plain_inputs``
-
-    Returns
-    -------
-    str
-        ``n_inputs``, ``start_values``, ``n_counters``, and ``each_message`` that calls ``put(frame)`` for
-        the messages that are due.
+    It has ``n_inputs`` and ``start_values`` in the order of `plain_inputs`, ``n_counters``, and
+    ``each_message``, which calls ``put(frame)`` for the messages that are due.
     """
     variables = plain_inputs(messages)
     starts = ", ".join(f"{v.start:.17g}" for v in variables)
@@ -46,16 +39,7 @@ def signals_header(messages: Sequence[Message]) -> str:
 
 
 def own_signals_header(variables: Sequence[Variable]) -> str:
-    """Return the same header for a vehicle on its own bus.
-
-    Parameters
-    ----------
-    variables : sequence of Variable, by ``own_inputs``
-
-    Returns
-    -------
-    str
-    """
+    """Return the same header for a vehicle on its own bus, whose variables are those of `own_inputs`."""
     starts = ", ".join(f"{v.start:.17g}" for v in variables)
     n = len(variables)
     names = [v.name.partition(".")[2] for v in variables]

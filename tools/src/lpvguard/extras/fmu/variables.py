@@ -76,15 +76,9 @@ def numbered(
 
 
 def result_variables(thresholds: dict[str, float]) -> list[Variable]:
-    """Return the results of a monitor and its diagnosis.
+    """Return the results of a monitor and its diagnosis, in the order of results.hpp.
 
-    Parameters
-    ----------
-    thresholds : dict, ``threshold``, ``energy_threshold`` and ``change_threshold`` of the coefficients
-
-    Returns
-    -------
-    list of Variable, in the order of results.hpp
+    ``thresholds`` has ``threshold``, ``energy_threshold`` and ``change_threshold`` of the coefficients.
     """
     numbers = [
         ("margin", "least common inflation of the bounds that explains the newest frame"),
@@ -139,18 +133,10 @@ def monitor_variables(project: Project, thresholds: dict[str, float]) -> list[Va
 def ecu_variables(
     project: Project, thresholds: dict[str, float], inputs: Sequence[Variable], period_s: float
 ) -> list[Variable]:
-    """Return the variables of a vehicle's ECU.
+    """Return the variables of a vehicle's ECU with the plain ``inputs``.
 
-    Parameters
-    ----------
-    project : Project
-    thresholds : dict, of the coefficients
-    inputs : sequence of Variable, the plain inputs
-    period_s : float, s
-
-    Returns
-    -------
-    list of Variable; the last four are the CAN terminal, of FMI 3.0 only
+    ``thresholds`` are those of the coefficients. The last four variables are the CAN terminal, of FMI 3.0
+    only.
     """
     demands = [(s.name, "demand of the controller", "real", s.unit) for s in project.inputs]
     codes = [
@@ -178,16 +164,9 @@ def ecu_variables(
 
 
 def plant_variables(scenario: str, period_s: float) -> list[Variable]:
-    """Return the variables of the simulated truck.
+    """Return the variables of the simulated truck, which by default drives the text of a scenario file.
 
-    Parameters
-    ----------
-    scenario : str, text of the scenario file that is driven by default
-    period_s : float, s
-
-    Returns
-    -------
-    list of Variable; the last four are the CAN terminal, of FMI 3.0 only
+    The last four variables are the CAN terminal, of FMI 3.0 only.
     """
     inputs = [
         ("brake_demand", "pressure right minus left; acts without the terminal", "real", "bar"),
@@ -276,8 +255,10 @@ def own_inputs(project: Project) -> list[Variable]:
 
 
 def terminal_variables(period_s: float, *, after_reception: bool) -> list[Variable]:
-    """Return the four variables of a CAN terminal (FMI-LS-BUS). ``after_reception``: what the unit sends
-    depends on what it receives at the same instant."""
+    """Return the four variables of a CAN terminal (FMI-LS-BUS).
+
+    With ``after_reception``, the unit answers at the instant at which it receives.
+    """
     return [
         Variable("CAN.Rx_Data", "received operations", 400, "input", "binary", start="", clock=401),
         Variable("CAN.Rx_Clock", "operations arrive", 401, "input", "clock"),

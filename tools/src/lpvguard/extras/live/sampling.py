@@ -21,7 +21,7 @@ class Sampler:
     """Samples of a vehicle from live frames."""
 
     def __init__(self, receiver: Receiver, channel: str | None):
-        """``channel``: the used interface; None means the only one with messages of the vehicle."""
+        """``channel`` is the used interface; None means the only one with messages of the vehicle."""
         self._receiver, self._channel, self._given = receiver, channel, channel is not None
         self._period_us = round(receiver.project.Ts_s * 1e6)
         self.jumps = 0

@@ -35,13 +35,7 @@ OF_OUR_TRUCK = {"speed_profile"}
 
 
 class Mapped(StrictModel):
-    """Our quantity by a variable of the FMU: factor x variable + offset.
-
-    Attributes
-    ----------
-    variable : str
-    factor, offset : float
-    """
+    """Our quantity by a variable of the FMU: factor x variable + offset."""
 
     variable: str
     factor: Annotated[float, Field(allow_inf_nan=False)] = 1.0
@@ -204,22 +198,10 @@ class ForeignPlant:
         return "speed" if is_speed else name
 
     def linked(self, scenario: Path, folder: Path) -> Path:
-        """Unpack the FMU for a run.
+        """Unpack the FMU into a new folder, and return the file that links it.
 
-        Parameters
-        ----------
-        scenario : Path, scenario file
-        folder : Path, new folder
-
-        Returns
-        -------
-        Path
-            File that links the FMU (firmware_sim/sim/vehicle_model.hpp).
-
-        Raises
-        ------
-        InputError
-            If the scenario changes the truck, and the FMU has no parameter for scenarios.
+        The file is described in firmware_sim/sim/vehicle_model.hpp. Raises InputError if the scenario changes
+        the truck, and the FMU has no parameter for scenarios.
         """
         plant = read_toml(scenario, "a scenario file").get("plant", {})
         beyond = sorted(set(plant) - OF_OUR_TRUCK) if isinstance(plant, dict) else []

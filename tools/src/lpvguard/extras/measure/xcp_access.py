@@ -73,7 +73,7 @@ class XcpAccess:
 
 
 def if_data(access: XcpAccess, period_us: int, big_endian: bool, include: Path) -> list[str]:
-    """Lines of the block. ``period_us``: time between steps; ``include``: folder of the core's headers.
+    """Return the lines of the block; a step lasts ``period_us``, and ``include`` has the core's headers.
 
     Raises InputError if the headers have no XCP slave.
     """

@@ -181,13 +181,17 @@ def _blocks(problem: dict, name: str) -> list[Block]:
     return blocks
 
 
-def _matrix(problem: dict, key: str, name: str, shape: tuple[int, int] | None = None) -> np.ndarray:
+def _numbers(problem: dict, key: str, name: str, expected: str, lists: str) -> np.ndarray:
     try:
-        value = np.asarray(problem[key], dtype=float)
+        return np.asarray(problem[key], dtype=float)
     except KeyError:
-        raise SynthesisError(name, key, "missing", "a matrix as nested lists") from None
+        raise SynthesisError(name, key, "missing", expected) from None
     except (TypeError, ValueError):
-        raise SynthesisError(name, key, "not a matrix of numbers", "nested lists of equal length") from None
+        raise SynthesisError(name, key, "not a matrix of numbers", lists) from None
+
+
+def _matrix(problem: dict, key: str, name: str, shape: tuple[int, int] | None = None) -> np.ndarray:
+    value = _numbers(problem, key, name, "a matrix as nested lists", "nested lists of equal length")
     if shape is not None and value.size == 0 and 0 in shape:
         return value.reshape(shape)
     if value.ndim != 2:
@@ -196,12 +200,7 @@ def _matrix(problem: dict, key: str, name: str, shape: tuple[int, int] | None = 
 
 
 def _complex_matrix(problem: dict, key: str, name: str) -> np.ndarray:
-    try:
-        value = np.asarray(problem[key], dtype=float)
-    except KeyError:
-        raise SynthesisError(name, key, "missing", "a matrix of [re, im]") from None
-    except (TypeError, ValueError):
-        raise SynthesisError(name, key, "not a matrix of numbers", "nested lists of [re, im]") from None
+    value = _numbers(problem, key, name, "a matrix of [re, im]", "nested lists of [re, im]")
     if value.ndim == 2:
         return value.astype(complex)
     if value.ndim != 3 or value.shape[2] != 2:

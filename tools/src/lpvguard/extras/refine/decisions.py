@@ -112,7 +112,7 @@ class DriveDecision:
     Attributes
     ----------
     name, path, sha256, vehicle, split, driver, recording, group : str
-        As of the drive; ``path`` relative to the file, empty ``group``: none.
+        From the index of drives. ``path`` is relative to the file; ``group`` is empty without a group.
     refutes : list of str
     ratios : dict[str, float]
     like, proposal, reason : str
@@ -140,7 +140,7 @@ class DriveDecision:
 
     @classmethod
     def from_judgement(cls, judgement: Judgement, proposal: LearningProposal, folder: Path) -> DriveDecision:
-        """Entry before a person's decision; ``folder``: of the file."""
+        """Return the entry of the file in ``folder``, before a person decides."""
         e = judgement.experiment
         return cls(
             e.name,
@@ -160,7 +160,7 @@ class DriveDecision:
         )
 
     def experiment(self, folder: Path) -> Experiment:
-        """The drive; ``folder``: of the file."""
+        """Return the drive that the entry of the file in ``folder`` names."""
         path = (folder / self.path).absolute()
         return Experiment(self.name, path, self.split, self.driver, self.recording, self.group or None)
 

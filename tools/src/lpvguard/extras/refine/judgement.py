@@ -110,12 +110,7 @@ class _Findings:
 
 @dataclass(frozen=True)
 class Judge:
-    """Judges drives against an identification and the first one of its lineage.
-
-    Attributes
-    ----------
-    stored : StoredIdentification, of now
-    """
+    """Judges drives against ``stored``, the identification of now, and the first one of its lineage."""
 
     stored: StoredIdentification
     _cores: _Cores

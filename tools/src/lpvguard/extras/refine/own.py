@@ -59,12 +59,9 @@ class OwnGain:
 
 @dataclass(frozen=True)
 class OwnGains:
-    """Own gains of the vehicles of a lineage.
+    """Own gains of the vehicles of a lineage, relative to ``known``.
 
-    Attributes
-    ----------
-    known : tuple of float, mean gain of the first calibrating drives by output
-    vehicles : Mapping[str, OwnGain], gains relative to ``known``
+    ``known`` is the mean gain of the first calibrating drives, by output.
     """
 
     known: tuple[float, ...] = ()
@@ -83,7 +80,7 @@ class OwnGains:
         return artefacts.to_json(asdict(self))
 
     def joined(self, vehicle: str, first: Estimates) -> OwnGains:
-        """Own gains with a further vehicle; ``first``: estimates of the drives learnt first of it.
+        """Add a vehicle, whose first learnt drives have the estimates ``first``.
 
         Raises InputError for gains beyond MOST.
         """
@@ -132,19 +129,11 @@ def _divided(project: Project, folder: Path, drive: tuple[Experiment, OwnGain | 
 def mean_changes(
     own: OwnGains, estimates: Mapping[str, Estimates]
 ) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-    """Mean change of each vehicle with own gains since its first drives, and its uncertainty.
+    """Mean change (n_y,) of each vehicle with own gains since its first drives, and its uncertainty (n_y,).
 
     The uncertainty covers a mean with probability 1 - RISK on either side. It follows from the spread between
-    drives of one vehicle, which is taken to be the same for all vehicles.
-
-    Parameters
-    ----------
-    own : OwnGains
-    estimates : Mapping, estimates of divided drives by vehicle
-
-    Returns
-    -------
-    dict of two ndarrays (n_y,), by vehicle
+    drives of one vehicle, which is taken to be the same for all vehicles. ``estimates`` holds those of
+    divided drives by vehicle.
     """
     changes = {v: own.changes(e) for v, e in estimates.items() if v in own.vehicles}
     if not changes:

@@ -58,20 +58,10 @@ def proposals(
     known_groups: set[str],
     own: OwnGains,
 ) -> list[LearningProposal]:
-    """Propose an action for every judged drive.
+    """Propose an action for every judged drive, in order.
 
-    Parameters
-    ----------
-    judge : Judge
-    judgements : Sequence of Judgement
-    known : Sequence, estimates of the known drives
-    life : FleetState, after the judged drives
-    known_groups : set of str, groups of known drives
-    own : OwnGains, by which the drives are divided
-
-    Returns
-    -------
-    list of LearningProposal, in order
+    ``known`` holds the estimates of the known drives. ``life`` is the state after the judged drives. ``own``
+    are the gains by which the drives are divided.
     """
     gains = judge.stored.project.evaluation.gains
     least = SHARE_OF_FAULT * min(abs(1 - g) for g in gains if g != 1)

@@ -173,16 +173,7 @@ def _merge(lineage: Lineage, accepted: list[DriveDecision], divided: Evidence, f
 
 
 def compared(before: stage.StoredIdentification, after: stage.StoredIdentification) -> dict[str, Any]:
-    """Compare two identifications of the same frames.
-
-    Parameters
-    ----------
-    before, after : StoredIdentification
-
-    Returns
-    -------
-    dict, a pair [before, after] by name; bounds by bin
-    """
+    """Compare two identifications of the same frames: a pair [before, after] by name; bounds by bin."""
     both = before, after
     omega = after.estimator.omega
     tests = {
@@ -197,14 +188,8 @@ def compared(before: stage.StoredIdentification, after: stage.StoredIdentificati
         "omega_rad_s": omega,
         "nu": [s.bounds["nu"] for s in both],
         "B_w": [s.bounds["B_w"] for s in both],
-        "certificate": {
-            "W_delta": [W for W, _ in at_bins],
-            "B_w": [B for _, B in at_bins],
-        },
-        "frame_test": {
-            "W_delta": [W for W, _ in of_frames],
-            "B_w": [B for _, B in of_frames],
-        },
+        "certificate": {"W_delta": [W for W, _ in at_bins], "B_w": [B for _, B in at_bins]},
+        "frame_test": {"W_delta": [W for W, _ in of_frames], "B_w": [B for _, B in of_frames]},
         "silent_bins": [list(s.fitted.silent) for s in both],
         "thresholds": {test: [c.carried for c in calibrations] for test, calibrations in tests.items()},
         "alpha": {test: [c.alpha for c in calibrations] for test, calibrations in tests.items()},
@@ -216,7 +201,7 @@ def compared(before: stage.StoredIdentification, after: stage.StoredIdentificati
 
 
 def drawn(project: Project, result: dict[str, Any]) -> str:
-    """Draw the bounds of both identifications; ``result``: of `compared`. Returns an SVG."""
+    """Draw the bounds of both identifications that `compared` returns, as an SVG."""
     sets = {name: {b: np.array(x) for b, x in result[key].items()} for key, name in SETS.items()}
     return standalone(sets_side_by_side("bounds", np.array(result["omega_rad_s"]), sets, project.outputs))
 

@@ -75,16 +75,7 @@ def time_to_find(faults: list[dict], allowed_s: float) -> Figure:
 
 @picture
 def confirmation_tradeoff(confirmation: Confirmation) -> Figure:
-    """Draw the smallest gain error found in time, and the delay of a larger one, over the rate of alarms.
-
-    Parameters
-    ----------
-    confirmation : Confirmation
-
-    Returns
-    -------
-    Figure
-    """
+    """Draw the smallest gain error found in time, and the delay of a larger one, over the rate of alarms."""
     figure = new_figure(8.2, 3.2)
     panels = figure.subplots(1, 2, sharex=True)
     labels = ("smallest gain error found in time", f"s until {confirmation.shown:.2g} is found")
@@ -150,6 +141,14 @@ def _over_severity(
     return figure
 
 
+def _lines(axes: Axes, x: np.ndarray, names: dict[str, str], numbers: Callable[[str], list[float]]) -> None:
+    """Draw the ``numbers`` of each detector over ``x`` (N,), in its style."""
+    for detector, (colour, line, mark, width) in zip(names, DETECTOR_STYLES, strict=False):
+        axes.plot(
+            x, numbers(detector), line, marker=mark, ms=3.2, lw=width, color=colour, label=names[detector]
+        )
+
+
 @picture
 def detection(severities: list[dict], units: dict[str, str], names: dict[str, str], key: str) -> Figure:
     """Draw the share of runs in which a fault was found in time over its severity.
@@ -161,17 +160,7 @@ def detection(severities: list[dict], units: dict[str, str], names: dict[str, st
     """
 
     def draw(axes: Axes, x: np.ndarray, rows: list[dict]) -> None:
-        for detector, (colour, line, mark, width) in zip(names, DETECTOR_STYLES, strict=False):
-            axes.plot(
-                x,
-                [s[key][detector] / s["runs"] for s in rows],
-                line,
-                marker=mark,
-                ms=3.2,
-                lw=width,
-                color=colour,
-                label=names[detector],
-            )
+        _lines(axes, x, names, lambda detector: [s[key][detector] / s["runs"] for s in rows])
         axes.fill_between(
             x,
             0,
@@ -195,17 +184,9 @@ def detection_time(severities: list[dict], units: dict[str, str], names: dict[st
     """
 
     def draw(axes: Axes, x: np.ndarray, rows: list[dict]) -> None:
-        for detector, (colour, line, mark, width) in zip(names, DETECTOR_STYLES, strict=False):
-            axes.plot(
-                x,
-                [np.nan if s["median_s"][detector] is None else s["median_s"][detector] for s in rows],
-                line,
-                marker=mark,
-                ms=3.2,
-                lw=width,
-                color=colour,
-                label=names[detector],
-            )
+        _lines(
+            axes, x, names, lambda d: [np.nan if s["median_s"][d] is None else s["median_s"][d] for s in rows]
+        )
         axes.set_yscale("log")
         axes.set_ylim(0.05, 200.0)
 

@@ -10,7 +10,7 @@ from ..pictures.drawing import Picture
 
 
 def campaign_section(c: dict) -> str:
-    """The section. ``c``: summary.json of `lpvguard campaign`."""
+    """Return the section of a campaign, from its summary.json."""
     return f"""<h2>Campaign in the closed loop</h2>
 {_falsified(c)}
 {_runs(c)}

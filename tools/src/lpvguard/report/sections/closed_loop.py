@@ -47,7 +47,7 @@ def _run(folder: Path, name: str, r: dict) -> str:
 
 
 def loop_section(folder: Path) -> str:
-    """The section. ``folder``: written by `lpvguard sim -o`, with results.json and the tables of the runs."""
+    """Return the section of a folder that `lpvguard sim -o` wrote: results.json and tables of the runs."""
     results = artefacts.read_json(folder / "results.json")
     table = html_rows(
         {

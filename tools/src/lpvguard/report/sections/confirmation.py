@@ -8,7 +8,7 @@ from ..pictures.detectors import confirmation_tradeoff
 
 
 def confirmation_section(confirmation: Confirmation) -> str:
-    """The section of an identification with a rate of alarms."""
+    """Return the section of an identification with a rate of alarms."""
     rows = ({escape(k): escape(v) for k, v in row.items()} for row in confirmation.table())
     picture = captioned(
         confirmation_tradeoff("k", confirmation),

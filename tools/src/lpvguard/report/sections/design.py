@@ -27,7 +27,7 @@ MARGINS = {
 
 
 def design_section(folder: Path) -> str:
-    """The section; ``folder`` is written by `lpvguard design`.
+    """Return the section of a folder that `lpvguard design` wrote.
 
     Table II, its pictures and ROBUST may be missing. Raises InputError if ROBUST belongs to another
     controller.
@@ -221,7 +221,7 @@ def _farthest(deviations: list[dict]) -> str:
 
 
 def _table_2(table: dict, fig5: Picture) -> str:
-    """Table II, ``table``: table2.json, and the picture of its weights."""
+    """Return Table II from table2.json, and the picture of its weights."""
     rows = html_rows(
         {
             "Table II": escape(r["structure"]),
@@ -252,7 +252,7 @@ e<sup>−15</sup> to e<sup>15</sup>.</p>{rows}{weights}"""
 
 
 def _worst_case(run: dict, fig6: Picture) -> str:
-    """Picture of the runs with the worst uncertainty. ``run``: the object fig6 of figures.json."""
+    """Return the picture of the runs with the worst uncertainty, from fig6 of figures.json."""
     measured = html_table(
         [
             "controller",

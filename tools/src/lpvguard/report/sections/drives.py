@@ -67,9 +67,9 @@ def visit(
 
 
 def visit_plain(visits: Visits, stored: StoredIdentification, drives: DriveSet, drive: Drive) -> list[str]:
-    """Judge the drive's frame of the plain DFT by the exact margin under the stored weights.
+    """Judge the drive as one frame of the plain DFT, by its exact margin with the stored weights.
 
-    It stores the frame in ``visits`` and returns the drive's row of the table.
+    Stores the frame in ``visits`` and returns the drive's row of the table.
     """
     reader, project = drives.reader, stored.project
     estimator, model = reader.estimator, reader.model
@@ -222,7 +222,7 @@ def _drive_page(
 
 
 def drive_section(summaries: list[DriveSummary], threshold: float) -> str:
-    """The section: the index of drives, the key of the maps, then each drive that ``visit`` returned."""
+    """Return the index of drives, the key of the maps, then each drive that ``visit`` returned."""
     key = captioned(
         map_key("key"),
         "<b>How to read the maps.</b> Time runs to the right. There is one line per bin, with DC at the "

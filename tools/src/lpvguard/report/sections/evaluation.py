@@ -43,7 +43,7 @@ TEST_TITLES = {
 
 
 def evaluation_section(evaluation: dict) -> str:
-    """The section. ``evaluation``: JSON of `lpvguard evaluate`."""
+    """Return the section of an evaluation, the JSON of `lpvguard evaluate`."""
     left_out = "; ".join(f"{escape(n)}: {escape(why)}" for n, why in evaluation["left_out"].items())
     title, judged = JUDGED[evaluation["mode"]]
     return f"""<h2>{title}</h2>

@@ -8,7 +8,7 @@ from ..markup import html_rows
 
 
 def isolation_section(isolation: Isolation, project: Project) -> str:
-    """The section of an identification with [isolation]."""
+    """Return the section of an identification with [isolation]."""
     rows = ({escape(k): escape(v) for k, v in row.items()} for row in isolation.isolable_rows(project))
     return f"""<h2>Which part differs</h2><p>Least size of a fault that {isolation.window_s:g} s of usual \
 driving distinguish from a fault of each other part: a share, or in the unit of its row. A star: structure \

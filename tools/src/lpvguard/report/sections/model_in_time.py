@@ -14,7 +14,7 @@ LONGEST_STRETCH_S = 60.0
 
 
 def time_section(visits: Visits, stored: StoredIdentification, drives: DriveSet) -> str:
-    """The section: the longest judged, excited stretches of ``visits`` at low and at high speed."""
+    """Return the longest judged, excited stretches of ``visits`` at low and at high speed."""
     stretches, words, project = [], [], stored.project
     for label, longest in (("lower", visits.slow), ("upper", visits.fast)):
         if not longest.samples:

@@ -187,7 +187,7 @@ def _proof_table(stored: StoredIdentification) -> str:
 
 
 def summary_section(stored: StoredIdentification, replayer: Replayer | None, drives: DriveSet) -> str:
-    """The section. ``replayer``: None when the core does not compute these frames."""
+    """Return the settings and proofs; ``replayer`` is None if the core does not compute these frames."""
     estimator = drives.reader.estimator
     table = html_table([], _rows(stored, replayer, estimator), "words")
     return f"""<h2>Settings and proofs</h2>{table}

@@ -9,7 +9,7 @@ from ..pictures.design import tradeoff_front
 
 
 def tradeoff_section(folder: Path) -> str:
-    """The section. ``folder``: written by `lpvguard design --tradeoff`."""
+    """Return the section of a folder that `lpvguard design --tradeoff` wrote."""
     tradeoff = artefacts.read_json(folder / "tradeoff.json")
     rows = html_rows(
         {

@@ -12,7 +12,7 @@ from ..visits import Visits
 
 
 def visibility_section(visits: Visits, drawn: IdentificationPictures) -> str:
-    """The section: excitation in the counted frames of ``visits`` and the tables of visibility.json."""
+    """Return the section on the excitation in the counted frames of ``visits``, with visibility.json."""
     stored, estimator = drawn.stored, drawn.estimator
     speeds = "" if stored.pools is None else f"<p>{escape(stored.pools.speeds_text())}.</p>"
     return f"""<h2>Excitation and what stays invisible</h2>{_excitation(visits, drawn)}
@@ -58,7 +58,7 @@ def _overall(seen: dict) -> str:
 
 
 def _smallest_visible(seen: dict, estimator: Estimator, unit: str) -> str:
-    """The tables of visibility.json, ``seen``; ``unit``: of |Z|."""
+    """Return the tables of visibility.json, ``seen``, with |Z| in ``unit``."""
     typical, strongest = seen["at_percentile"], seen["at_strongest"]
     names = _cell_names(typical)
     labels = ["DC", *(f"{w:.3g}" for w in estimator.omega[1:])]

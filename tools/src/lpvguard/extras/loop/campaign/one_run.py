@@ -279,7 +279,7 @@ def conduct(
 
 
 def disturbed(free: dict[str, np.ndarray], measured: Drive) -> tuple[np.ndarray, np.ndarray]:
-    """Free motion of a truck without control by road and wind, and the noise of its sensors.
+    """Return the motion that road and wind cause in a truck without control, and the noise of its sensors.
 
     The motion (N, 2) holds yaw rate and road-wheel angle [rad/s, rad] every TELEMETRY_S. The noise is (M, 2)
     at the samples of ``measured``.

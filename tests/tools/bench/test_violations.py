@@ -4,8 +4,12 @@ bound is known."""
 import numpy as np
 import pytest
 
-from lpvguard.control import violations
-from lpvguard.control.violations import (
+from lpvguard.engine.synthesis.interconnection import rational
+from lpvguard.engine.synthesis.lpv_certificate import Family
+from lpvguard.engine.synthesis.statespace import StateSpace, lft, series, zero_order_hold
+from lpvguard.engine.synthesis.varying import OverSpeed
+from lpvguard.extras.bench import _violations as violations
+from lpvguard.extras.bench._violations import (
     Loop,
     Search,
     SpeedGrid,
@@ -18,10 +22,6 @@ from lpvguard.control.violations import (
     sinusoid,
     triangle,
 )
-from lpvguard.engine.synthesis.interconnection import rational
-from lpvguard.engine.synthesis.lpv_certificate import Family
-from lpvguard.engine.synthesis.statespace import StateSpace, lft, series, zero_order_hold
-from lpvguard.engine.synthesis.varying import OverSpeed
 
 TS = 0.1
 

@@ -16,9 +16,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..engine.synthesis.lpv_certificate import Family
-from ..engine.synthesis.statespace import StateSpace, append, gain
-from ..engine.synthesis.varying import History, OverSpeed, all_pass, close, steered
+from ...engine.synthesis.lpv_certificate import Family
+from ...engine.synthesis.statespace import StateSpace, append, gain
+from ...engine.synthesis.varying import History, OverSpeed, all_pass, close, steered
 
 CORNERS = (np.inf, 0.5, 2.0, 8.0)
 """Corner frequencies [rad/s] that are tried for the all-pass of each block; inf: a constant."""
@@ -38,14 +38,7 @@ LADDER, PRECISION = 4.0, 1.3
 
 @dataclass(frozen=True)
 class Loop:
-    """The searched loop.
-
-    Attributes
-    ----------
-    over : OverSpeed, whose first channels are those of Delta
-    blocks : int, number of scalar blocks of Delta
-    Ts : float, s
-    """
+    """The searched loop: its first channels are those of Delta, which has ``blocks`` scalar blocks."""
 
     over: OverSpeed
     blocks: int
@@ -71,14 +64,9 @@ class Loop:
 
 @dataclass(frozen=True)
 class Found:
-    """A history with a large gain.
+    """A history of the speed (T,) [m/s] and the input ``w`` (T, m) with a large gain.
 
-    Attributes
-    ----------
-    gain : float
-    corners : tuple of (sign, corner [rad/s]), one for each block of Delta
-    speeds : ndarray (T,), m/s
-    w : ndarray (T, m), the input
+    ``corners`` holds a (sign, corner [rad/s]) for each block of Delta.
     """
 
     gain: float
@@ -89,13 +77,9 @@ class Found:
 
 @dataclass(frozen=True)
 class SpeedGrid:
-    """Grid of the speeds of a history: low + unit i for i = 0..places − 1, up to high.
+    """Grid of the speeds of a history: low + unit i [m/s] for i = 0..places − 1, up to high.
 
-    Attributes
-    ----------
-    low, high, unit : float, m/s
-    places : int
-    moves : int, largest number of grid steps from one sample to the next
+    ``moves`` is the largest number of grid steps from one sample to the next.
     """
 
     low: float
@@ -128,18 +112,8 @@ class SpeedGrid:
 
 
 def triangle(grid: SpeedGrid, samples: int, low: float, high: float, start: float = 0.0) -> np.ndarray:
-    """Make a speed history between two speeds at the largest rate.
-
-    Parameters
-    ----------
-    grid : SpeedGrid
-    samples : int
-    low, high : float, m/s
-    start : float, start as a share of one period, default 0.0
-
-    Returns
-    -------
-    ndarray (samples,), m/s
+    """Make a history (samples,) between two speeds at the largest rate, from the share ``start`` of a period
+    on.
     """
     first, last = (np.rint((v - grid.low) / grid.unit) for v in (low, high))
     span = max(last - first, 1.0)
@@ -148,18 +122,9 @@ def triangle(grid: SpeedGrid, samples: int, low: float, high: float, start: floa
 
 
 def sinusoid(grid: SpeedGrid, samples: int, low: float, high: float, start: float = 0.0) -> np.ndarray:
-    """Make a sinusoidal speed history whose largest slope is the largest rate.
+    """Make a sinusoidal history (samples,) whose largest slope is the largest rate.
 
-    Parameters
-    ----------
-    grid : SpeedGrid
-    samples : int
-    low, high : float, m/s
-    start : float, start as a share of the period, default 0.0
-
-    Returns
-    -------
-    ndarray (samples,), m/s
+    It begins at the share ``start`` of the period.
     """
     middle, swing = 0.5 * (low + high), 0.5 * (high - low)
     angle = 2 * np.pi * start + grid.moves * grid.unit / max(swing, grid.unit) * np.arange(samples)
@@ -167,18 +132,9 @@ def sinusoid(grid: SpeedGrid, samples: int, low: float, high: float, start: floa
 
 
 def ramps(grid: SpeedGrid, samples: int, levels: np.ndarray, hold: int) -> np.ndarray:
-    """Make a speed history that moves from level to level at the largest rate, and then back.
+    """Make a history (samples,) that moves at the largest rate from level to level, and then back.
 
-    Parameters
-    ----------
-    grid : SpeedGrid
-    samples : int
-    levels : ndarray (k,), m/s
-    hold : int, samples at each level
-
-    Returns
-    -------
-    ndarray (samples,), m/s
+    It holds each of the ``levels`` (k,) [m/s] for ``hold`` samples.
     """
     places = np.rint((levels - grid.low) / grid.unit).astype(int)
     parts = [np.full(hold + 1, places[0])]
@@ -193,14 +149,6 @@ def injected(family: Family) -> Family:
     """Add a channel from Delta's outputs to Delta's inputs to a family.
 
     With Delta closed, the gain of this channel is unbounded if the loop grows.
-
-    Parameters
-    ----------
-    family : Family
-
-    Returns
-    -------
-    Family
     """
     G = family.at(float(family.nodes[0]))
     p, m = G.n_outputs - family.n_probes, G.n_inputs
@@ -209,14 +157,7 @@ def injected(family: Family) -> Family:
 
 
 class Search:
-    """Search over one loop.
-
-    Parameters
-    ----------
-    loop : Loop
-    samples : int, length of a history
-    seed : int, seed of the first input
-    """
+    """Search over histories of one loop; ``seed`` draws the first input."""
 
     def __init__(self, loop: Loop, samples: int, seed: int):
         self.loop, self.samples = loop, samples
@@ -290,38 +231,17 @@ class Search:
 
 
 def closed_period(grid: SpeedGrid, speeds: np.ndarray) -> np.ndarray:
-    """Extend a history to one period: at its end, it returns to its first speed at the largest rate.
-
-    Parameters
-    ----------
-    grid : SpeedGrid
-    speeds : ndarray (T,), m/s
-
-    Returns
-    -------
-    ndarray (T',), m/s
-    """
+    """Extend a history (T,) to one period: at its end, it returns to its first speed at the largest rate."""
     way = np.arange(0.0, abs(speeds[-1] - speeds[0]), grid.moves * grid.unit)[1:]
     back = speeds[-1] + np.sign(speeds[0] - speeds[-1]) * way
     return np.concatenate([speeds, grid.speeds((back - grid.low) / grid.unit)])
 
 
 def fastest_growth(loop: Loop, rate: float, samples: int, seed: int) -> tuple[float, np.ndarray]:
-    """Search the fastest growth over one period, for a loop of `injected`.
+    """Search the fastest growth over one period with |dv/dt| <= ``rate``, for a loop of `injected`.
 
     The search tries the history with the largest gain, extended to a period, and triangles with random Delta.
-
-    Parameters
-    ----------
-    loop : Loop
-    rate : float, m/s^2, largest |dv/dt|
-    samples : int, length of a history
-    seed : int
-
-    Returns
-    -------
-    tuple of float, growth factor of one period (above 1: growth), and ndarray (T,), speeds of the period
-    [m/s]
+    Returns the factor of one period (above 1: growth), and its speeds (T,) [m/s].
     """
     low, high = loop.over.nodes[[0, -1]]
     grid, random = SpeedGrid.for_rate(low, high, rate, loop.Ts), np.random.default_rng(seed)
@@ -341,16 +261,9 @@ def fastest_growth(loop: Loop, rate: float, samples: int, seed: int) -> tuple[fl
 
 
 def drawn_corners(random: np.random.Generator, blocks: int) -> tuple[tuple[float, float], ...]:
-    """Draw random all-passes; about every third one is a constant.
+    """Draw random all-passes (sign, corner); about every third one is a constant.
 
-    Parameters
-    ----------
-    random : Generator, of numpy
-    blocks : int
-
-    Returns
-    -------
-    tuple of (sign, corner [rad/s]); the corners lie between the least and the largest finite CORNERS
+    The corners lie between the least and the largest finite CORNERS.
     """
     finite = [c for c in CORNERS if np.isfinite(c)]
     return tuple(
@@ -376,19 +289,10 @@ class LeastRate:
 
 
 def least_violating(violates: Callable[[float], bool], largest: float, smallest: float) -> LeastRate:
-    """Find the least rate with a violation.
+    """Find the least rate [m/s^2] with a violation, between ``smallest`` and ``largest``.
 
     The search divides the rate by LADDER while there is a violation. It then bisects until the ratio of the
     two rates is at most PRECISION.
-
-    Parameters
-    ----------
-    violates : Callable, rate [m/s^2] -> bool
-    largest, smallest : float, m/s^2
-
-    Returns
-    -------
-    LeastRate
     """
     if not violates(largest):
         return LeastRate(None, largest)
