@@ -15,9 +15,9 @@ from lpvguard.evaluate import evaluation as stage
 from lpvguard.evaluate.comparison import equal_rates
 from lpvguard.evaluate.detection import FaultOutcome, Injection, JudgedClock, margins, refutable
 from lpvguard.evaluate.false_alarms import alarmed_pieces, alarming, piece_starts
-from lpvguard.evaluate.judged_drives import FLOORS
+from lpvguard.evaluate.joint import FLOORS, UNITS, joint_scores
 from lpvguard.identify import identification as identify
-from lpvguard.identify.calibration import Calibration, Recordings, calibrate, joint_scores
+from lpvguard.identify.calibration import Calibration, Recordings, calibrate
 from lpvguard.replay.replayer import Replay, Replayer
 from lpvguard.vehicle.nominal import NominalModel
 from lpvguard.vehicle.project import EvaluationSettings
@@ -179,13 +179,13 @@ def test_one_threshold_for_all_tests_keeps_alpha_and_two_do_not():
     random, n, alpha, trials = np.random.default_rng(3), 10, 0.1, 4000
     joint = apart = 0
     for _ in range(trials):
-        frame, change = random.lognormal(-0.2, 0.3, (2, n + 1))
+        frame, change = random.lognormal(-0.2, 0.3, (2, n + 1)) * [[UNITS["frame"]], [1.0]]
         by_test = [{str(i): s for i, s in enumerate(x[:n])} for x in (frame, change)]
         scores = joint_scores(
-            {"frame": by_test[0], "change": by_test[1], "energy": dict.fromkeys(by_test[0], 1.0)}, FLOORS
+            {"frame": by_test[0], "change": by_test[1], "energy": dict.fromkeys(by_test[0], 1.0)}
         )
         threshold = calibrate(scores, alpha, floor=FLOORS["change"]).threshold
-        joint += frame[n] > max(threshold, FLOORS["frame"]) or change[n] > threshold
+        joint += frame[n] > max(UNITS["frame"] * threshold, FLOORS["frame"]) or change[n] > threshold
         own = [calibrate(s, alpha, floor=0.05).threshold for s in by_test]
         apart += frame[n] > own[0] or change[n] > own[1]
     spread = 3 * np.sqrt(0.25 / trials)

@@ -72,13 +72,6 @@ def test_every_group_has_a_tail_of_its_own():
     assert calibration.of_group("wet").threshold == calibration.groups["wet"].threshold
 
 
-def test_a_joint_target_has_the_largest_maxima_and_the_sum_of_rates():
-    a = RateTarget(0.5, False, {"d": [1.0, 4.0], "e": [1.0]}, {"d": 60.0, "e": 60.0})
-    b = RateTarget(0.5, False, {"d": [2.0, 3.0]}, {"d": 60.0})
-    joint = RateTarget.joint([a, b])
-    assert joint.per_1000_h == 1.0 and joint.maxima == {"d": [2.0, 4.0]}
-
-
 def test_a_rate_needs_hann_frames_and_is_left_out_of_settings_without_one():
     document = load_project("g80").model_dump(by_alias=True)
     assert not any(key.startswith("alarms_") for key in document["frame_test"])

@@ -22,8 +22,6 @@ from lpvguard.identify.calibration import (
     calibrate,
     change_score,
     energy_score,
-    joint_score,
-    joint_scores,
     peaks,
     score,
 )
@@ -196,12 +194,6 @@ def test_a_drive_scores_the_largest_counted_frame_and_the_largest_ratios_or_noth
     assert (score(silent), energy_score(silent), change_score(silent)) == (None, None, None)
 
 
-def test_joint_scores_are_the_largest_of_the_tests_that_judged_the_drive():
-    tests = {"frame": {"a": 1.0, "b": 3.0}, "energy": {"b": 2.0, "c": 0.5}, "change": {"a": 1.5}}
-    assert joint_scores(tests, dict.fromkeys(tests, 0.1)) == {"a": 1.5, "b": 3.0, "c": 0.5}
-    assert joint_scores({}, {}) == {}
-
-
 def test_the_rank_is_exact_however_the_product_rounds():
     """10 * (1 - 0.7) in floating point is a little more than 3."""
     for n in (9, 19, 24, 39, 99):
@@ -262,14 +254,6 @@ def test_a_peak_of_the_energy_test_names_its_band_and_one_of_the_change_test_non
     silent = [(1, 16.0, 9.0, False)]
     run = run_of(silent, (0.0, 0.2, 0.5, 0.3), (0.3, 0.6, 0.4, 0.1), (0, 1, 2, 1))
     assert peaks(run, 10.0, 0.5, np.array([4, 2])) == {"energy": Peak(1.0, 2), "change": Peak(0.5)}
-
-
-def test_a_joint_score_is_the_largest_above_its_own_floor():
-    floors = {"frame": 1.0, "energy": 2.0}
-    assert joint_score({"frame": 1.5, "energy": 1.9}, floors) == 1.5
-    assert joint_score({"frame": None, "energy": 2.5}, floors) == 2.5
-    assert joint_score({"frame": 1.0, "energy": 2.0}, floors) == 0.0
-    assert joint_score({"frame": None, "energy": None}, floors) == 0.0
 
 
 def test_the_drive_that_decides_is_the_one_whose_score_the_core_carries():

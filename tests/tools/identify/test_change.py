@@ -15,7 +15,7 @@ from lpvguard.drives.frames import Estimator
 from lpvguard.drives.tables import read_drive
 from lpvguard.identify import identification as stage
 from lpvguard.identify.bounds import nominal_error
-from lpvguard.identify.calibration import NO_RECORDINGS, joint_score, joint_scores
+from lpvguard.identify.calibration import NO_RECORDINGS
 from lpvguard.identify.change import (
     BLOCK,
     FLOOR,
@@ -183,14 +183,3 @@ def test_an_output_that_never_moved_has_finite_coefficients(g80):
     sums[0, 2, 2] = 100.0
     test = ChangeTest.design(g80).with_moments(sums).with_sizes(Met(np.zeros((1, 3)), np.zeros((1, 3)), 100))
     assert all(np.isfinite(np.float32(x)).all() for x in test.coefficients()[2].values())
-
-
-def test_joint_scores_are_the_largest_of_those_that_are_above_their_floors():
-    floors = {"frame": 1.0, "energy": 1.5, "change": 0.1}
-    tests = {
-        "frame": {"a": 1.0, "b": 2.0, "e": 0.9},
-        "energy": {"a": 3.0, "d": 1.5, "e": 1.4},
-        "change": {"c": 0.5, "d": 0.3, "e": 0.1},
-    }
-    assert joint_scores(tests, floors) == {"a": 3.0, "b": 2.0, "c": 0.5, "d": 0.3, "e": 0.0}
-    assert joint_score({"frame": None, "change": 0.7}, floors) == 0.7

@@ -4,9 +4,9 @@ The compiled core processes every drive. One drive of the identification is left
 Thresholds for this drive come from all *other* drives that did not set the bounds. Drives that the
 identification never saw are judged with its stored thresholds (judged_drives.py).
 
-The monitor is compared with all tests at one threshold, calibrated jointly (calibration.joint_scores). Any of
+The monitor is compared with all tests at one threshold, calibrated jointly (joint.py). Any of
 its tests alarms on a further drive with probability at most alpha, like a baseline. The table also has each
-test alone at alpha. It also has the tests as exported, each at its own threshold, with at most three times
+test alone at alpha. It also has the tests as exported, each at its own threshold, with at most four times
 alpha in total. If fewer drives calibrate than alpha needs, no rate is stated. The detectors are then compared
 by counts only (`stated_rates`).
 
@@ -24,7 +24,7 @@ from ..base.errors import InputError
 from ..base.parallel import Map
 from ..core.compiled import TESTS, Core
 from ..drives.tables import Drive, Experiment
-from ..identify.calibration import Calibration, Recordings, change_score, energy_score, joint_score, score
+from ..identify.calibration import Calibration, Recordings, change_score, energy_score, score
 from ..identify.identification import DriveSet, StoredIdentification
 from ..identify.passes import DriveReader
 from ..replay.replayer import Replay, Replayer
@@ -34,7 +34,8 @@ from .causes import DIAGNOSED_S, CauseOutcome, CauseOutcomes, cause_table
 from .comparison import EXPORTED, LEFT_ONE_OUT, MONITOR, POOLS, duels
 from .detection import FaultOutcome, Injection, Outcomes, fault_rows, margins, ranking, refutable
 from .false_alarms import alarmed_pieces, alarming, false_alarms, piece_starts
-from .judged_drives import FLOORS, JudgedDrives, calibrations_of, joint_thresholds, rate_of
+from .joint import joint_score, joint_thresholds
+from .judged_drives import JudgedDrives, calibrations_of, rate_of
 from .parts import Names, name_after, part_table
 
 FEWEST_FOR_BASELINES = 2
@@ -167,7 +168,7 @@ def _drive_scores(replay: Replay) -> dict[str, float | None]:
         "change": change_score(replay.run),
         POOLS: float(replay.run.frames.pooled.max(initial=0.0)),
     }
-    return {MONITOR: joint_score(tests, FLOORS)} | tests
+    return {MONITOR: joint_score(tests)} | tests
 
 
 def _stated(c: Calibration) -> dict:

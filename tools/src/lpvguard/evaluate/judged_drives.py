@@ -18,15 +18,13 @@ from pathlib import Path
 import numpy as np
 
 from ..base.errors import InputError
-from ..core.compiled import TESTS
 from ..drives.tables import Experiment, list_experiments, table_hashes
-from ..identify.calibration import ROUNDING, Calibration, RateTarget, Recordings, calibrate, joint_scores
-from ..identify.change import FLOOR, calibrated_change
+from ..identify.calibration import Calibration, Recordings, calibrate
+from ..identify.change import calibrated_change
 from ..identify.identification import DriveSet, StoredIdentification
 from .comparison import HELD_OUT, LEFT_ONE_OUT, MONITOR, POOLS
+from .joint import FLOORS, joint_scores, joint_target
 
-FLOORS = {"frame": 1.0, "energy": 1.0 + ROUNDING, "change": FLOOR, POOLS: 1.0}
-"""Smallest threshold of each test."""
 SAW = {"bounds": "set the bounds", "calibration": "calibrated", "noise": "set the noise"}
 """Use of a group of drives in the identification."""
 
@@ -95,11 +93,6 @@ def rate_of(judged: JudgedDrives, stored: StoredIdentification) -> dict | None:
     return {"per_1000_h": target, "extrapolated_from_h": min(hours) if hours else None}
 
 
-def joint_thresholds(joint: float) -> list[float]:
-    """Threshold of each test under one ``joint`` threshold, at least the test's floor."""
-    return [max(joint, FLOORS[test]) for test in TESTS]
-
-
 def _of_group(calibrations: dict[str, Calibration], group: str | None) -> dict[str, Calibration]:
     """Thresholds for drives of the group."""
     return {what: c.of_group(group) for what, c in calibrations.items()}
@@ -110,14 +103,14 @@ def _calibrations(stored: StoredIdentification, without: str | None) -> dict[str
     scores = {test: c.scores for test, c in calibrations_of(stored).items()}
     if stored.pools is not None:
         scores[POOLS] = stored.pools.scores(without)
-    scores[MONITOR] = joint_scores(scores, FLOORS)
+    scores[MONITOR] = joint_scores(scores)
     targets = {test: c.target for test, c in calibrations_of(stored).items() if c.target is not None}
     if targets:
         if stored.pools is not None and (pooled := stored.pools.target(without)) is not None:
             targets[POOLS] = pooled
-        targets[MONITOR] = RateTarget.joint(list(targets.values()))
+        targets[MONITOR] = joint_target(targets)
     rules: dict[str, Callable[..., Calibration]] = {
-        MONITOR: calibrated_change,
+        MONITOR: partial(calibrate, floor=FLOORS["change"]),
         "frame": calibrate,
         "energy": partial(calibrate, floor=FLOORS["energy"]),
         "change": calibrated_change,

@@ -1,4 +1,4 @@
-"""Stage 5: calibrate the tests by split conformal prediction, separately or together (`joint_scores`).
+"""Stage 5: calibrate the tests by split conformal prediction.
 
 THEORY 7.3 defines the thresholds (T23), their claims (T24) and the thresholds of groups. The compiled core
 computes the scores. The core contains one threshold. This is the largest of all thresholds, with which every
@@ -155,13 +155,6 @@ class RateTarget:
     confident: bool
     maxima: Mapping[str, Sequence[float]]
     judged_s: Mapping[str, float]
-
-    @classmethod
-    def joint(cls, targets: Sequence[RateTarget]) -> RateTarget:
-        """Target for the largest score of all tests, with the sum of the rates of the tests."""
-        drives = set.intersection(*(set(t.maxima) for t in targets))
-        maxima = {d: np.max([t.maxima[d] for t in targets], axis=0).tolist() for d in sorted(drives)}
-        return replace(targets[0], per_1000_h=sum(t.per_1000_h for t in targets), maxima=maxima)
 
     def threshold(self, scores: Mapping[str, float], floor: float, recordings: Recordings) -> GroupThreshold:
         """Threshold of the rate: conformal where the recordings suffice, else from the tail of the scores."""
@@ -499,48 +492,6 @@ def change_score(run: Run) -> float | None:
     float, or None if nothing was judged
     """
     return float(run.change.max()) if (run.change > 0).any() else None
-
-
-def joint_score(scores: Mapping[str, float | None], floors: Mapping[str, float]) -> float:
-    """Compute the score of a drive in all tests together, the largest score above the floor of its test.
-
-    Every score is relative to the bound-setting drives. A margin or a ratio of the energy test is the least
-    factor on the bounds that agrees with the data. A ratio of the change test is relative to the largest
-    estimate of these drives. One threshold T can therefore serve all tests. A test alarms above the larger of
-    T and its floor, so a score below the floor does not count. With T, the probability that any test alarms
-    on a further drive is at most alpha. With a separate threshold for each test, this probability is at most
-    alpha times the number of tests.
-
-    Parameters
-    ----------
-    scores : Mapping, score by test, None for a test that judged nothing
-    floors : Mapping, floor by test
-
-    Returns
-    -------
-    float, 0 without a score above its floor
-
-    References
-    ----------
-    THEORY 7.3.
-    """
-    return max((s for test, s in scores.items() if s is not None and s > floors[test]), default=0.0)
-
-
-def joint_scores(tests: Mapping[str, Mapping[str, float]], floors: Mapping[str, float]) -> dict[str, float]:
-    """Compute `joint_score` of every drive that at least one test judged.
-
-    Parameters
-    ----------
-    tests : Mapping, scores by test and drive
-    floors : Mapping, floor by test
-
-    Returns
-    -------
-    dict[str, float], by drive
-    """
-    drives = sorted({n for scores in tests.values() for n in scores})
-    return {n: joint_score({test: s[n] for test, s in tests.items() if n in s}, floors) for n in drives}
 
 
 def calibrate(

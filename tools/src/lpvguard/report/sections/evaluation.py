@@ -24,6 +24,7 @@ from ...evaluate.comparison import (
     row_name,
 )
 from ...evaluate.false_alarms import PIECE_S
+from ...evaluate.joint import UNITS
 from ..markup import captioned, html_rows, html_table, number
 from ..pictures.detectors import SOONEST_S, time_to_find
 
@@ -152,8 +153,9 @@ for a frame this is after its
 end. A cell: starts with the fault found, of all starts (drives with the fault found from every start), and \
 the median time; a miss counts as
 the latest time. No faults in: {without or "none"}.</p>{times}{table}
-<p>All tests at one threshold (an alarm of any test counts) and each test alone are compared
-{escape(compared)}; {exported}.</p>"""
+<p>All tests at one threshold (an alarm of any test counts; the threshold of frames, pools and energy is \
+{UNITS["frame"]:g} times that of change) and each test alone are compared {escape(compared)}; \
+{exported}.</p>"""
 
 
 def _causes(evaluation: dict) -> str:
