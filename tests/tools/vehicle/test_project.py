@@ -1,5 +1,6 @@
 """Project files: what is refused, and how it is said."""
 
+import json
 import tomllib
 from importlib import resources
 
@@ -8,7 +9,7 @@ import pytest
 
 from lpvguard.base.errors import InputError
 from lpvguard.vehicle.nominal import NominalModel
-from lpvguard.vehicle.project import NuCeiling, load_project, parse_project, shipped_vehicles
+from lpvguard.vehicle.project import FrameSettings, NuCeiling, load_project, parse_project, shipped_vehicles
 
 VEHICLES = resources.files("lpvguard.vehicle").joinpath("shipped")
 TEXT = VEHICLES.joinpath("g80.toml").read_text()
@@ -131,3 +132,6 @@ def test_frequencies_in_hertz_and_in_radians_are_the_same_project():
     assert texts[0] != texts[1]
     one, other = (parse_project(tomllib.loads(text), "truck") for text in texts)
     assert one == other and one.frames.f_min_hz == 0.05
+    written = one.model_dump_json(by_alias=True)
+    assert "_hz" not in written and parse_project(json.loads(written), "truck").frames == one.frames
+    assert "_hz" not in json.dumps(list(FrameSettings.model_json_schema()["properties"]))
