@@ -190,7 +190,8 @@ def _require_usual(
     best: UnitReading, measured: _Measured, choices: Mapping[str, Sequence[str]], certain: Collection[str]
 ) -> None:
     """Raise InputError where another unit than one that the log states, or another place of the steering than
-    its name says, makes a much likelier vehicle. What the user states is only warned of."""
+    its name says, makes a much likelier vehicle, or another unit of the speed one about as likely.
+    What the user states is only warned of."""
     known = measured.known
     if known.kind not in TYPICAL or known.wheelbase_m is None:
         return
@@ -203,14 +204,32 @@ def _require_usual(
     ):
         likely = [r for r in _sorted(measured, others, wheels) if r.beyond == 0.0]
         other = min(likely, key=lambda r: r.atypical, default=best)
-        if other.atypical >= best.atypical - DOUBTED:
-            continue
         what = f"the stated units make an unusual {known.kind}: {best.words()}; more likely: {other.words()}"
+        if other.atypical >= best.atypical - DOUBTED:
+            if others is not asked or (near_speed := _near_speed(best, likely)) is None:
+                continue
+            other = near_speed
+            what = f"another unit of the speed is as likely: {best.words()}; or {other.words()}"
         near = [best, other]
         settles = " or ".join(_settles(r, near) for r in near)
         if others is asked:
             raise InputError("new", _differing(near), what, settles)
         warnings.warn(f"{what}; {settles} says which", InputWarning, stacklevel=1)
+
+
+def _near_speed(best: UnitReading, likely: Sequence[UnitReading]) -> UnitReading | None:
+    """The likeliest reading with another unit of the speed alone, where ``best`` is not much likelier.
+
+    Another steering ratio makes up for miles in place of kilometres. Knots are too near to miles to doubt."""
+    others = [
+        r
+        for r in likely
+        if r.units["speed"] not in ("kn", best.units["speed"])
+        and all(r.units[role] == best.units[role] for role in ("input", "output"))
+    ]
+    other = min(others, key=lambda r: r.atypical, default=None)
+    own = best.atypical - KNOTS * (best.units["speed"] == "kn")
+    return other if other is not None and other.atypical < own + DOUBTED else None
 
 
 def _evidence(turn: SteadyTurn, candidates: Sequence[UnitReading], known: Known) -> list[str]:

@@ -20,9 +20,9 @@ WORDS = {
             r"(vehicle|veh|car|ego)_?(speed|spd|velocity)"
         ),
         _any(
-            r"linear_(vel_)?x (^|_)v_?x(_|$) speed spd veloc (^|_)vel(_|$) ^vel geschw vitesse "
-            r"(^|_)v_signal veh_?v_ ^(u|v_?long|sog|tempo|tacho)(_|$) ^h\u0131z snelheid hastighet "
-            r"rychlost pr[eę]dko[sś] velocid velocit 车速"
+            r"linear_(vel_)?x (^|_)v_?x(_|$) ^v_?(fzg|kfz|auto)(_|$) speed spd veloc (^|_)vel(_|$) ^vel "
+            r"geschw vitesse (^|_)v_signal veh_?v_ ^(u|v_?long|sog|tempo|tacho)(_|$) ^h\u0131z snelheid "
+            r"hastighet rychlost pr[eę]dko[sś] velocid velocit 车速"
         ),
     ),
     "input": (
