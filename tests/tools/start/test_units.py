@@ -150,6 +150,16 @@ def test_a_lateral_acceleration_tells_the_unit_of_the_speed():
         proposed(false, {}, known)
 
 
+def test_a_model_cars_commands_beyond_full_lock_are_not_taken_for_degrees():
+    """As of a race car's program, whose commands in rad exceed what the servo can do."""
+    car = KnownCar(0.33, 0.03, 0.02, 0.1, 0.0, 0.0)
+    d = car.drive(np.random.default_rng(5), 4.5, 60.0, "laps")
+    values = {"speed": d.v, "steering": 20.0 * d.u[:, 0], "yaw_rate": 20.0 * d.y[:, 0]}
+    known = Known("model", car.L)
+    with pytest.raises(InputError, match=r"2 readings fit: .* in deg at .* in rad at .*--input-unit rad"):
+        proposed([Recording("laps", d.t, values, {})], {}, known)
+
+
 def test_going_backwards_with_a_speed_without_sign_turns_no_sign():
     """As a sports car's log began: out of a parking space with a full turn of the wheel."""
     (log, _) = in_units(recordings(CARS["saloon"][0], SPEEDS["country"]), ("m/s", "deg", "deg/s"), 15.8)

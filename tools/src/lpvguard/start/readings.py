@@ -25,6 +25,8 @@ STATED_WITHIN = 1.45
 slide; where all units are stated, only a wrong unit is larger."""
 DOUBTFUL = 1.4
 """A reading whose lateral acceleration exceeds the kind's by no more may still be meant."""
+CREEPING = 0.05
+"""A reading whose largest lateral acceleration is below this share of the kind's is doubtful."""
 LEAST_LATERAL_MPS2 = {"car": 0.1, "truck": 0.1, "model": 0.35, "other": 0.1}
 LEAST_ANGLE_RAD = 0.01
 """If 99 % of a log stay below both, nobody steered, or degrees would be read as radians."""
@@ -42,6 +44,8 @@ KNOTS = 2.0
 """The same logarithm for knots in place of another unit: few loggers of cars have them."""
 DOUBTED = 2.0
 """Logarithm of the likelihood ratio from which another reading casts doubt on a stated unit."""
+NEAR = 1.5
+"""The same logarithm up to which another unit of the speed is asked about."""
 ACCELERATION_WITHIN = 1.35
 """A lateral acceleration is speed times yaw rate within this factor; the body's roll adds a tenth."""
 SHORT_S = 10.0
@@ -133,7 +137,7 @@ def decided(
             "the columns of one vehicle on one clock, or " + ", ".join(_unit_options(choices)),
         )
     shares = _shares(measured, drives, choices)
-    near = [r for r in (*candidates, *shares) if r.beyond == 0.0]
+    near = _fitting(candidates, KINDS[known.kind]) + [r for r in shares if r.beyond == 0.0]
     said = "; or ".join(r.words() for r in near[:3])
     if len(near) > 1 or any(r.share for r in near):
         raise InputError(
@@ -160,7 +164,8 @@ def decided(
             "the wheelbase in m, or --steering-ratio",
         )
     _require_usual(best, measured, choices, certain)
-    return best, _evidence(turn, candidates, known)
+    other = None if "speed" in certain else _another_speed(best, measured)
+    return best, _evidence(turn, candidates, known, other)
 
 
 @dataclass(frozen=True)
@@ -186,12 +191,20 @@ def _sorted(
     return sorted(readings, key=lambda reading: reading.beyond)
 
 
+def _fitting(candidates: Sequence[UnitReading], kind: VehicleKind) -> list[UnitReading]:
+    """Readings within physics; beside one that only creeps also faster ones that are slightly beyond."""
+    fitting = [r for r in candidates if r.beyond == 0.0]
+    if len(fitting) == 1 and (slow := fitting[0].lateral_mps2) < CREEPING * kind.lateral_mps2:
+        slightly = [r for r in candidates if 0.0 < r.beyond <= np.log(DOUBTFUL)]
+        fitting += [r for r in slightly if r.lateral_mps2 > 10 * slow]
+    return fitting
+
+
 def _require_usual(
     best: UnitReading, measured: _Measured, choices: Mapping[str, Sequence[str]], certain: Collection[str]
 ) -> None:
     """Raise InputError where another unit than one that the log states, or another place of the steering than
-    its name says, makes a much likelier vehicle, or another unit of the speed one about as likely.
-    What the user states is only warned of."""
+    its name says, makes a much likelier vehicle. What the user states is only warned of."""
     known = measured.known
     if known.kind not in TYPICAL or known.wheelbase_m is None:
         return
@@ -204,12 +217,9 @@ def _require_usual(
     ):
         likely = [r for r in _sorted(measured, others, wheels) if r.beyond == 0.0]
         other = min(likely, key=lambda r: r.atypical, default=best)
-        what = f"the stated units make an unusual {known.kind}: {best.words()}; more likely: {other.words()}"
         if other.atypical >= best.atypical - DOUBTED:
-            if others is not asked or (near_speed := _near_speed(best, likely)) is None:
-                continue
-            other = near_speed
-            what = f"another unit of the speed is as likely: {best.words()}; or {other.words()}"
+            continue
+        what = f"the stated units make an unusual {known.kind}: {best.words()}; more likely: {other.words()}"
         near = [best, other]
         settles = " or ".join(_settles(r, near) for r in near)
         if others is asked:
@@ -217,27 +227,44 @@ def _require_usual(
         warnings.warn(f"{what}; {settles} says which", InputWarning, stacklevel=1)
 
 
-def _near_speed(best: UnitReading, likely: Sequence[UnitReading]) -> UnitReading | None:
-    """The likeliest reading with another unit of the speed alone, where ``best`` is not much likelier.
+def _another_speed(best: UnitReading, measured: _Measured) -> UnitReading | None:
+    """The likeliest reading with another unit of the speed alone; None where none is possible.
 
-    Another steering ratio makes up for miles in place of kilometres. Knots are too near to miles to doubt."""
-    others = [
-        r
-        for r in likely
-        if r.units["speed"] not in ("kn", best.units["speed"])
-        and all(r.units[role] == best.units[role] for role in ("input", "output"))
-    ]
-    other = min(others, key=lambda r: r.atypical, default=None)
-    own = best.atypical - KNOTS * (best.units["speed"] == "kn")
-    return other if other is not None and other.atypical < own + DOUBTED else None
+    A steering ratio that is not known makes up for miles in place of kilometres. Raise InputError where the
+    reading is about as likely. Knots are too near to miles to doubt."""
+    known = measured.known
+    if known.kind not in TYPICAL or known.wheelbase_m is None or known.ratio is not None or best.ratio == 1.0:
+        return None
+    speeds = [u for u in USUAL_UNITS["speed"] if u not in ("kn", best.units["speed"])]
+    choices = {role: [unit] for role, unit in best.units.items()} | {"speed": speeds}
+    possible = [r for r in _sorted(measured, choices, _wheels(known)) if r.beyond == 0.0]
+    other = min(possible, key=lambda r: r.atypical, default=None)
+    if other is not None and _likelier(best, other) < NEAR:
+        raise InputError(
+            "new",
+            "--speed-unit",
+            f"another unit of the speed is about as likely: {best.words()}; or {other.words()}",
+            " or ".join(_settles(r, [best, other]) for r in (best, other)),
+        )
+    return other
 
 
-def _evidence(turn: SteadyTurn, candidates: Sequence[UnitReading], known: Known) -> list[str]:
-    """Sentences for the first of the readings that remain."""
+def _likelier(best: UnitReading, other: UnitReading) -> float:
+    """How much likelier a reading is than another, as a logarithm. Knots are as usual here as other units."""
+    return other.atypical - best.atypical + KNOTS * (best.units["speed"] == "kn")
+
+
+def _evidence(
+    turn: SteadyTurn, candidates: Sequence[UnitReading], known: Known, other: UnitReading | None
+) -> list[str]:
+    """Sentences for the first of the readings that remain, and for one with another unit of the speed."""
     best = candidates[0]
     evidence = [f"{turn.explained:.0%} of the yaw rate explained, {best.words()}"]
     if known.wheelbase_m is None:
         evidence.append(f"no wheelbase given: compare {best.wheelbase_m:.3g} m with the vehicle's")
+    if other is not None:
+        rarer = np.exp(min(_likelier(best, other), 20.0))
+        evidence.append(f"{rarer:.2g} times rarer: {other.words()}; --steering-ratio tells them apart")
     if len(candidates) > 1:
         evidence.append(f"next best: {candidates[1].words()}, but {', '.join(candidates[1].why)}")
     return evidence
