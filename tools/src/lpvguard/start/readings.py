@@ -46,6 +46,8 @@ DOUBTED = 2.0
 """Logarithm of the likelihood ratio from which another reading casts doubt on a stated unit."""
 NEAR = 1.5
 """The same logarithm up to which another unit of the speed is asked about."""
+UNCERTAIN = 1.5
+"""Largest over smallest of the likely steering ratios from which on they are named."""
 ACCELERATION_WITHIN = 1.35
 """A lateral acceleration is speed times yaw rate within this factor; the body's roll adds a tenth."""
 SHORT_S = 10.0
@@ -165,6 +167,7 @@ def decided(
         )
     _require_usual(best, measured, choices, certain)
     other = None if "speed" in certain else _another_speed(best, measured)
+    _warn_of_ratio(best, measured)
     return best, _evidence(turn, candidates, known, other)
 
 
@@ -247,6 +250,19 @@ def _another_speed(best: UnitReading, measured: _Measured) -> UnitReading | None
             " or ".join(_settles(r, [best, other]) for r in (best, other)),
         )
     return other
+
+
+def _warn_of_ratio(best: UnitReading, measured: _Measured) -> None:
+    """Warn where logs at one speed, or with little steering, leave the steering ratio open."""
+    known, turn, kind = measured.known, measured.turn, KINDS[measured.known.kind]
+    if best.ratio == 1.0 or known.ratio is not None or known.wheelbase_m is None or kind.ratio is None:
+        return
+    a, b, c = (unit_factor(best.units[role], DIMENSIONS[role]) or 1.0 for role in ROLES)
+    ratios = np.clip(np.abs(turn.length) * a * b / c / known.wheelbase_m, *kind.ratio)
+    if ratios.max() > UNCERTAIN * ratios.min():
+        what = f"steering ratios from {ratios.min():.3g} to {ratios.max():.3g} explain the logs about as well"
+        settles = f"{best.ratio:.3g} is taken; --steering-ratio, or logs at more speeds, settle it"
+        warnings.warn(f"{what}; {settles}", InputWarning, stacklevel=1)
 
 
 def _likelier(best: UnitReading, other: UnitReading) -> float:
