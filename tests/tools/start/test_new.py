@@ -315,6 +315,7 @@ SAME_WORDS = {
         "AVz deg/s",
         "VYAW_VEH",
         "yaw_dot",
+        "ZRate",
     ),
 }
 OTHER_QUANTITIES = {
@@ -328,6 +329,7 @@ OTHER_QUANTITIES = {
     ),
     "input": (
         "STEER_TORQUE Nm",
+        "couple_volant",
         "STEER_ANGLE_RATE deg/s",
         "STEER_CONFIG_INDEX",
         "STEER_WARN",

@@ -42,6 +42,7 @@ WORDS = {
             r"yaw_?(rate|rte?|r$|vel|speed|spd|w_|dot|veh$) ang(ular)?_?(vel|rate|velocity|speed)_?z "
             r"gyro?(scope)?_?z omega_?z ^omega$ psi_?(dot|punkt|p$) ^d_?psi(_?dt)?$ ^gz(_|$) ^a_?v_?z$ "
             r"rot(ation)?_?(rate|speed|vel)?_?z(_|$) (^|_)rate_?(\w+_)?z(_|$) z_?(axis_)?rate_of_rot "
+            r"^z_?rate(_|$) "
             r"(heading|turn)_?(rate|speed) (^|_)gyro$ _wz(_|$) gier lacet imbard gui[nñ] gir(asj|hast) 横摆"
         ),
     ),
@@ -69,7 +70,8 @@ NEVER = {
         r"ang steer lenk sas rate_ hud clu_ kombi angez dsply display navi expected"
     ),
     "input": _any(
-        r"rate(?!d) torque tq trq speed spd vel gesch grd moment hilfe fraction override volt "
+        r"rate(?!d) torque couple coppia effort drehm tq trq speed spd vel gesch grd moment hilfe fraction "
+        r"override volt "
         r"pressure hands hold assist warn config index menu flex ratio typ required verbau max"
     ),
     "output": _any(
@@ -80,7 +82,9 @@ NEVER = {
 }
 """By role: other quantities that share a word with it."""
 NEVER_IN = {
-    "speed": _any(r"(local|global)_position vehicle_odometry (^|_)(ned|enu)(_|$) attitude"),
+    "speed": _any(
+        r"(local|global)_position localization.*pose vehicle_odometry (^|_)(ned|enu)(_|$) attitude"
+    ),
     "input": _any(r"imu gyro attitude local_position"),
     "output": "(?!)",
 }
