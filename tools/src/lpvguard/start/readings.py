@@ -233,10 +233,10 @@ def _require_usual(
 def _another_speed(best: UnitReading, measured: _Measured) -> UnitReading | None:
     """The likeliest reading with another unit of the speed alone; None where none is possible.
 
-    A steering ratio that is not known makes up for miles in place of kilometres. Raise InputError where the
-    reading is about as likely. Knots are too near to miles to doubt."""
+    Where ratio or understeer is not known, it makes up for miles in place of kilometres. Raise InputError
+    where the reading is about as likely. Knots are too near to miles to doubt."""
     known = measured.known
-    if known.kind not in TYPICAL or known.wheelbase_m is None or known.ratio is not None or best.ratio == 1.0:
+    if known.kind not in TYPICAL or known.wheelbase_m is None or known.ratio is not None:
         return None
     speeds = [u for u in USUAL_UNITS["speed"] if u not in ("kn", best.units["speed"])]
     choices = {role: [unit] for role, unit in best.units.items()} | {"speed": speeds}
@@ -280,7 +280,7 @@ def _evidence(
         evidence.append(f"no wheelbase given: compare {best.wheelbase_m:.3g} m with the vehicle's")
     if other is not None:
         rarer = np.exp(min(_likelier(best, other), 20.0))
-        evidence.append(f"{rarer:.2g} times rarer: {other.words()}; --steering-ratio tells them apart")
+        evidence.append(f"{rarer:.2g} times rarer: {other.words()}")
     if len(candidates) > 1:
         evidence.append(f"next best: {candidates[1].words()}, but {', '.join(candidates[1].why)}")
     return evidence
