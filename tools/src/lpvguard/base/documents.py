@@ -73,7 +73,7 @@ def in_hertz(settings: Mapping[str, Any], keys: Mapping[str, str]) -> dict[str, 
     Raises
     ------
     ValueError
-        If a frequency is no number, or stated in both units.
+        If a frequency is no number above 0, or stated in both units.
 
     Examples
     --------
@@ -89,6 +89,8 @@ def in_hertz(settings: Mapping[str, Any], keys: Mapping[str, str]) -> dict[str, 
                 value = changed.pop(key)
                 try:
                     changed[hertz] = _converted(value, factor, 6)
+                    if value is not None and np.min(changed[hertz], initial=np.inf) <= 0:
+                        raise ValueError
                 except (TypeError, ValueError):
                     raise ValueError(f"{key}: {value!r} is no frequency in {unit}") from None
     return changed

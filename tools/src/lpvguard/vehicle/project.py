@@ -235,9 +235,9 @@ class NuCeiling(InRadians):
     @model_validator(mode="after")
     def _shape(self) -> NuCeiling:
         if len(self.f_hz) != len(self.nu) or not self.f_hz:
-            raise ValueError("nu_ceiling: f_hz and nu must be non-empty and equally long")
+            raise ValueError("nu_ceiling: omega_radps and nu must be non-empty and equally long")
         if any(b <= a for a, b in zip(self.f_hz, self.f_hz[1:], strict=False)):
-            raise ValueError("nu_ceiling: f_hz must increase")
+            raise ValueError("nu_ceiling: omega_radps must increase")
         return self
 
     def at(self, f_hz: np.ndarray) -> np.ndarray:
