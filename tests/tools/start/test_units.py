@@ -124,9 +124,11 @@ def test_a_stated_unit_that_makes_an_unusual_car_is_asked_about():
     with pytest.warns(InputWarning, match="the stated units make an unusual car"):
         proposed([log], {}, known, stated)
     with warnings.catch_warnings():
-        warnings.simplefilter("error")
+        warnings.filterwarnings("error", message=".*unusual")
         proposed([log], {}, known, stated | {"speed": "m/s"})
         proposed([log], {}, replace(known, ratio=20.0 / 1.6), stated)
+    with pytest.warns(InputWarning, match="steering ratios from .* explain the logs about as well"):
+        proposed([log], {}, known, stated | {"speed": "m/s"})
 
 
 def test_a_lateral_acceleration_tells_the_unit_of_the_speed():

@@ -236,9 +236,10 @@ def _another_speed(best: UnitReading, measured: _Measured) -> UnitReading | None
     Where ratio or understeer is not known, it makes up for miles in place of kilometres. Raise InputError
     where the reading is about as likely. Knots are too near to miles to doubt."""
     known = measured.known
-    if known.kind not in TYPICAL or known.wheelbase_m is None or known.ratio is not None:
+    if known.kind not in TYPICAL or known.ratio is not None:
         return None
-    speeds = [u for u in USUAL_UNITS["speed"] if u not in ("kn", best.units["speed"])]
+    alike = ("kn", "mph") if best.units["speed"] == "kn" else ("kn", best.units["speed"])
+    speeds = [u for u in USUAL_UNITS["speed"] if u not in alike]
     choices = {role: [unit] for role, unit in best.units.items()} | {"speed": speeds}
     possible = [r for r in _sorted(measured, choices, _wheels(known)) if r.beyond == 0.0]
     other = min(possible, key=lambda r: r.atypical, default=None)
