@@ -193,8 +193,8 @@ class FrameSettings(InRadians):
     length_s : float or None, s, length of the frame of ``dft``
     periods : int, periods in a Hann frame
     bins_per_decade : int
-    omega_min_radps, omega_max_radps : float, rad/s, of which six digits count
-        f_min_hz and f_max_hz in Python, and in older files.
+    omega_min_radps, omega_max_radps, f_min_hz, f_max_hz : float, rad/s, of which six digits count
+        In Hz, as f_min_hz and f_max_hz, in Python and in older files.
     hop_per_frame : int, hops in a frame
     speed_tolerance : float, relative change of speed within a frame
     """
@@ -222,8 +222,8 @@ class NuCeiling(InRadians):
 
     Attributes
     ----------
-    omega_radps : list of float, rad/s
-        f_hz in Python, and in older files.
+    omega_radps, f_hz : list of float, rad/s
+        In Hz, as f_hz, in Python and in older files.
     nu : list of float, upper limit at omega_radps
     """
 
@@ -359,9 +359,9 @@ class EnergyTestSettings(InRadians):
 
     Attributes
     ----------
-    band_radps : tuple of float or None, rad/s
+    band_radps, band_hz : tuple of float or None, rad/s
         Two to seven increasing corner frequencies, by default the frames' omega_min_radps and
-        omega_max_radps. band_hz in Python, and in older files.
+        omega_max_radps. In Hz, as band_hz, in Python and in older files.
     memory_s : float or None, s, time constant of the forgetting, by default one period of omega_min_radps
     """
 
