@@ -244,12 +244,12 @@ def _by_name(table: pa.Table) -> str | None:
 
 def _by_values(table: pa.Table, path: Path) -> str | None:
     """The one column, by whatever name, whose texts are dates with time or whose numbers count from 1970."""
-    found = [n for n in table.column_names if _tells_time(table, n) or _is_epoch(_plain(table, n))]
-    if len(found) != 1:
+    telling = [n for n in table.column_names if _tells_time(table, n) or _is_epoch(_plain(table, n))]
+    if len(telling) != 1:
         return None
-    what = f"column {found[0]} is taken for the time: its values say so"
+    what = f"column {telling[0]} is taken for the time: its values say so"
     warnings.warn(f"{path}: {what}", InputWarning, stacklevel=1)
-    return found[0]
+    return telling[0]
 
 
 def _is_epoch(t: np.ndarray) -> bool:
