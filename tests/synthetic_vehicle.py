@@ -82,9 +82,9 @@ def synthetic_project(sizes: Sizes, name: str = "synthetic") -> Project:
                 "bins_per_decade": BINS_PER_DECADE,
                 "f_max_hz": f_max,
                 "speed_tolerance": 0.5,
-                "f_min_hz": f_max / 10 ** ((sizes.bins - 2 + 1e-6) / BINS_PER_DECADE)
+                "f_min_hz": f_max / 10 ** ((sizes.bins - 2 + 1e-4) / BINS_PER_DECADE)
                 if sizes.bins > 2
-                else f_max * (1 - 1e-9),
+                else f_max * (1 - 1e-4),
             },
             "bounds": {"structure": sizes.structure, "nu_ceiling": {"f_hz": [1.0], "nu": [0.3]}},
             "weights": {},

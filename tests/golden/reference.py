@@ -71,13 +71,13 @@ def energy_ratios(
     e: np.ndarray, yhat: np.ndarray, weight: tuple[np.ndarray, np.ndarray], test: dict
 ) -> np.ndarray:
     """Largest ratio of three bands at each sample (N,), 0 until the sums have settled. ``test``: corners
-    [Hz], memory [s], samples to settle, sigma (3,) and what is remembered (3,)."""
-    memory, (low, high) = test["memory_s"], test["band_hz"]
+    [rad/s], memory [s], samples to settle, sigma (3,) and what is remembered (3,)."""
+    memory, (low, high) = test["memory_s"], test["band_radps"]
     rho = np.exp(-TS / memory)
     explained = recursion(*weight_in_z(*weight, rho), yhat)
 
-    def low_pass(f: float, x: np.ndarray) -> np.ndarray:
-        t = np.tan(np.pi * f * TS)
+    def low_pass(omega: float, x: np.ndarray) -> np.ndarray:
+        t = np.tan(omega * TS / 2)
         return recursion(np.array([t, t]), np.array([t + 1, t - 1]), x)
 
     def bands(x: np.ndarray) -> list[np.ndarray]:

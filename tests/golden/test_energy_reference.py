@@ -17,7 +17,7 @@ def test_the_ratio_of_the_float_core(core, g80, synthetic):
     assert end - first > 2000
     manifest = artefacts.read_manifest(core.folder, "vehicle")
     stored, fitted = manifest["energy_test"], manifest["weights"]["W_delta_healthy"][0]["weight"]
-    test = {key: np.ravel(stored[key]) for key in ("sigma", "start", "band_hz")}
+    test = {key: np.ravel(stored[key]) for key in ("sigma", "start", "band_radps")}
     test |= {key: stored[key] for key in ("memory_s", "settle_samples")}
     num = np.array(fitted["num"]) * manifest["final_inflation"] * stored["gain"][0]
     yhat = reference.nominal(drive.v[:end], drive.u[:end, 0], drive.y[0, 0])[first:]

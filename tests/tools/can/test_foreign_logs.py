@@ -98,6 +98,8 @@ def test_rosbags_are_read(tmp_path, version):
     read = read_log(path)
     assert read.series["car_twist.linear.x"].t_ns.tolist() == T
     np.testing.assert_allclose(read.series["car_twist.linear.x"].value, SPEED)
+    units = {name: series.unit for name, series in read.series.items()}
+    assert units["car_twist.linear.x"] == "m/s" and units["car_twist.angular.z"] == "rad/s"
     assert ranked("speed", read.series) == ["car_twist.linear.x"]
     assert ranked("output", read.series) == ["car_twist.angular.z"]
 

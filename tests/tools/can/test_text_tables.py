@@ -110,6 +110,10 @@ FORMS = {
     ),
     "a column of time that is none": text("GPS Time,Time,v,d", ",", lambda t: f"Wed Apr 22 03:45,{t:.3f}"),
     "days of a spreadsheet": text("time,v,d", ",", lambda t: f"{45769 + t / 86400:.12f}"),
+    "UTC in ISO 8601": text("utc,v,d", ",", lambda t: f"2026-04-22T03:45:{t:06.3f}Z"),
+    "milliseconds since 1970": text("unix_ms,v,d", ",", lambda t: f"{1_700_000_000_000 + round(1e3 * t)}"),
+    "dates under no word for time": text("Orario,v,d", ",", lambda t: f"22/04/2026 03:45:{t:06.3f}"),
+    "since 1970 under no word for time": text("k,v,d", ",", lambda t: f"{1_700_000_000 + t:.3f}"),
     "days of MATLAB": text("time,v,d", ",", lambda t: f"{739000 + t / 86400:.12f}"),
 }
 

@@ -189,8 +189,8 @@ def test_the_fan_holds_every_output_alone_and_no_direction_twice(n_y, count):
     ("settings", "says"),
     [
         ({"memory_s": 1.0}, "energy_test: memory 1 s"),
-        ({"band_hz": [2.0, 1.0]}, "band_hz"),
-        ({"band_hz": [1.0, 60.0]}, "band_hz"),
+        ({"band_hz": [2.0, 1.0]}, "band_radps"),
+        ({"band_hz": [1.0, 60.0]}, "band_radps"),
     ],
 )
 def test_settings_that_make_no_test_are_refused(settings, says, g80):
@@ -675,7 +675,7 @@ def test_another_memory_than_the_project_files_is_refused(identified, tmp_path):
     data = json.loads((copy / "energy.json").read_text())
     (copy / "energy.json").write_text(json.dumps(data | {"memory_s": 2 * data["memory_s"]}))
     artefacts.seal(copy)  # what the seal does not notice is noticed all the same
-    with pytest.raises(InputError, match="memory_s, band_hz"):
+    with pytest.raises(InputError, match="memory_s, band_radps"):
         stage.load(copy)
 
 

@@ -200,11 +200,19 @@ def test_a_stored_test_comes_back_and_another_one_is_refused(test):
     assert test.calibrated(low, 0.2, one.calibration.recordings).calibration.threshold == 1.0 + ROUNDING
     data = json.loads(json.dumps(one.to_dict(), default=np.ndarray.tolist))
     blank = replace(test, sigma=0 * test.sigma, start=0 * test.start, joint=0 * test.joint)
+    assert "band_hz" not in data
+    older = {k: v for k, v in data.items() if k != "band_radps"} | {"band_hz": list(test.band_hz)}
+    assert blank.restored(older, "here").calibration == one.calibration
     again = blank.restored(data, "here")
     for name in ("sigma", "start", "joint"):
         np.testing.assert_array_equal(getattr(again, name), getattr(one, name))
     assert again.calibration == one.calibration
-    for name, value in (("memory_s", 3.1), ("band_hz", [0.5, 2.1]), ("settle_samples", 5), ("bands", ["a"])):
+    for name, value in (
+        ("memory_s", 3.1),
+        ("band_radps", [0.5, 2.1]),
+        ("settle_samples", 5),
+        ("bands", ["a"]),
+    ):
         with pytest.raises(InputError, match="here"):
             blank.restored(data | {name: value}, "here")
 

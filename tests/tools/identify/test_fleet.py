@@ -479,15 +479,21 @@ def test_what_was_taken_lies_on_the_front(identification):
 
 def plain(name: str = "g80", **frames):
     document = load_project(name).model_dump(by_alias=True)
-    document["frames"] |= {"estimator": "dft", "length_s": 10.0, "f_min_hz": 0.2, "f_max_hz": 2.5, **frames}
-    document["bounds"]["nu_ceiling"] = {"f_hz": [1.0], "nu": [0.1]}
+    document["frames"] |= {
+        "estimator": "dft",
+        "length_s": 10.0,
+        "omega_min_radps": 1.2566371,
+        "omega_max_radps": 15.707963,
+        **frames,
+    }
+    document["bounds"]["nu_ceiling"] = {"omega_radps": [6.2831853], "nu": [0.1]}
     document["name"] = "plain"
     return parse_project(document, "test")
 
 
 @pytest.mark.parametrize("name", ["g80", "truck"])
 def test_plain_dft_of_the_models_own_data_is_zero_once_the_transient_is_out(name):
-    project = plain(name, f_max_hz=2.0)
+    project = plain(name, omega_max_radps=12.566371)
     model = NominalModel(project)
     estimator = Estimator.from_project(project, model)
     random = np.random.default_rng(5)
@@ -560,13 +566,13 @@ def test_plain_dft_settings_are_checked():
     with pytest.raises(InputError, match="length_s"):
         plain(length_s=None)
     with pytest.raises(InputError, match="unknowns of the transient"):
-        project = plain(length_s=1.0, f_min_hz=0.1, f_max_hz=0.2)
+        project = plain(length_s=1.0, omega_min_radps=0.62831853, omega_max_radps=1.2566371)
         Estimator.from_project(project, NominalModel(project))
 
 
 def test_window_error_falls_with_the_number_of_periods():
     document = load_project("truck").model_dump(by_alias=True)
-    document["frames"] |= {"f_min_hz": 0.2, "bins_per_decade": 3}
+    document["frames"] |= {"omega_min_radps": 1.2566371, "bins_per_decade": 3}
     medians = []
     for periods in (4, 16):
         document["frames"] |= {"periods": periods}

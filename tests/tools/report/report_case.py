@@ -25,7 +25,7 @@ DRIVES = [
 def vehicle(n_y: int):
     """The g80 with short frames, and with lateral acceleration as second output when asked."""
     document = load_project("g80").model_dump(by_alias=True)
-    document["frames"] |= {"f_min_hz": 0.5, "f_max_hz": 2.5, "bins_per_decade": 5}
+    document["frames"] |= {"omega_min_radps": 3.1415927, "omega_max_radps": 15.707963, "bins_per_decade": 5}
     document["bounds"]["nu_ceiling"] = {"f_hz": [1.0], "nu": [0.05]}
     document["weights"] |= {"max_order": 2}
     if n_y == 2:

@@ -58,7 +58,7 @@ def logs(tmp_path):
 
 def test_the_digits_beyond_an_angles_resolution_are_added(logs, tmp_path):
     dbc, paths = logs
-    made = new("mine", paths, tmp_path / "out", dbc=dbc, wheelbase_m=2.7)
+    made = new("mine", paths, tmp_path / "out", dbc=dbc, wheelbase_m=2.7, ratio=15.0)
     angle = made.proposals["input"]
     assert (angle.name, angle.plus) == (
         "STEER_ANGLE_SENSOR.STEER_ANGLE",
@@ -77,7 +77,7 @@ def test_the_digits_beyond_an_angles_resolution_are_added(logs, tmp_path):
 
 def test_the_proposed_places_on_the_cars_own_bus_read_the_same_drives(logs, tmp_path):
     dbc, paths = logs
-    new("mine", paths, tmp_path / "out", dbc=dbc, wheelbase_m=2.7)
+    new("mine", paths, tmp_path / "out", dbc=dbc, wheelbase_m=2.7, ratio=15.0)
     text = (tmp_path / "out" / "mine.toml").read_text()
     assert '# messages.STEER_ANGLE_SENSOR.checksum = "..."' in text and "hyundai_crc8" in text
     assert "# demand.road_wheel_angle = {" in text

@@ -173,6 +173,7 @@ def test_every_template_is_a_project_that_can_be_fitted(tmp_path, model, lpvguar
 def test_names_are_ranked_by_what_they_say():
     names = ["wheel_speed_fl", "vehicle_speed", "steer_rate", "steering_angle", "cmd_steer", "yaw_rate", "ay"]
     assert ranked("speed", names)[0] == "vehicle_speed"
+    assert ranked("speed", ["VitesseRoueAVG", "VitesseVehicule"])[0] == "VitesseVehicule"
     assert ranked("input", names)[0] == "steering_angle"
     assert ranked("output", names) == ["yaw_rate"]
 
@@ -206,6 +207,15 @@ def test_units_and_messages_rank_the_signals_of_a_database():
             "odom.twist.twist.linear.x odom.twist.twist.angular.z drive.drive.speed "
             "drive.drive.steering_angle core.state.speed",
             ("odom.twist.twist.linear.x", "drive.drive.steering_angle", "odom.twist.twist.angular.z"),
+        ),
+        (
+            "drive.drive.speed drive.drive.steering_angle odom.twist.twist.linear.x "
+            "ackermann_feedback.drive.steering_angle imu_raw.angular_velocity.z",
+            (
+                "odom.twist.twist.linear.x",
+                "ackermann_feedback.drive.steering_angle",
+                "imu_raw.angular_velocity.z",
+            ),
         ),
         (
             "control_cmd.longitudinal.speed velocity_status.lateral_velocity control_cmd.steering_tire_angle "
@@ -264,6 +274,8 @@ SAME_WORDS = {
         "u",
         "SOG kn",
         "velocidade_kmh",
+        "V_VEH",
+        "vFzg",
     ),
     "input": (
         "StrgWhlAngHSC2 deg",
@@ -278,6 +290,9 @@ SAME_WORDS = {
         "kąt_skrętu_kierownicy",
         "servo_angle",
         "Angolo_sterzo",
+        "StrWhlAg",
+        "AVL_STEA_DV",
+        "AngVol",
     ),
     "output": (
         "IMU_YawRtVal deg/s",
@@ -298,6 +313,9 @@ SAME_WORDS = {
         "velocidad_guiñada",
         "girhastighet",
         "AVz deg/s",
+        "VYAW_VEH",
+        "yaw_dot",
+        "ZRate",
     ),
 }
 OTHER_QUANTITIES = {
@@ -311,6 +329,7 @@ OTHER_QUANTITIES = {
     ),
     "input": (
         "STEER_TORQUE Nm",
+        "couple_volant",
         "STEER_ANGLE_RATE deg/s",
         "STEER_CONFIG_INDEX",
         "STEER_WARN",

@@ -1,5 +1,6 @@
 """Project files: what is refused, and how it is said."""
 
+import json
 import tomllib
 from importlib import resources
 
@@ -8,7 +9,7 @@ import pytest
 
 from lpvguard.base.errors import InputError
 from lpvguard.vehicle.nominal import NominalModel
-from lpvguard.vehicle.project import NuCeiling, load_project, parse_project, shipped_vehicles
+from lpvguard.vehicle.project import FrameSettings, NuCeiling, load_project, parse_project, shipped_vehicles
 
 VEHICLES = resources.files("lpvguard.vehicle").joinpath("shipped")
 TEXT = VEHICLES.joinpath("g80.toml").read_text()
@@ -30,6 +31,7 @@ def test_every_shipped_vehicle_loads_and_is_stable(name):
         ("omega_max_radps = 20.106193", "omega_max_radps = 190.0", "half the sampling rate"),
         ("omega_max_radps = 20.106193", "omega_max_radps = 20.1\nf_max_hz = 3.2", "state one"),
         ("omega_max_radps = 20.106193", 'omega_max_radps = "x"', "no frequency in rad/s"),
+        ("omega_max_radps = 20.106193", "omega_max_radps = -2.0", "omega_max_radps: -2.0 is no frequency"),
         ("confirm = 1 ", "confirm = 3 ", "confirm"),
         ("schema = 1", "schema = 2", "schema"),
         ("schema = 1", "schema = ", "TOML"),
@@ -73,7 +75,7 @@ def test_a_bad_project_file_is_refused_by_field(tmp_path, old, new, says):
             'column = "r"\nunit = "deg/s"',
             r"lateral_acceleration_max_mps2: .* yaw_rate in deg/s",
         ),
-        ("truck", "nu = [0.35, 2.5]", "nu = [0.35]", "nu_ceiling: f_hz and nu"),
+        ("truck", "nu = [0.35, 2.5]", "nu = [0.35]", "nu_ceiling: omega_radps and nu"),
     ],
 )
 def test_a_setting_that_does_not_fit_its_vehicle_is_refused(tmp_path, name, old, new, says):
@@ -131,3 +133,6 @@ def test_frequencies_in_hertz_and_in_radians_are_the_same_project():
     assert texts[0] != texts[1]
     one, other = (parse_project(tomllib.loads(text), "truck") for text in texts)
     assert one == other and one.frames.f_min_hz == 0.05
+    written = one.model_dump_json(by_alias=True)
+    assert "_hz" not in written and parse_project(json.loads(written), "truck").frames == one.frames
+    assert "_hz" not in json.dumps(list(FrameSettings.model_json_schema()["properties"]))

@@ -4,10 +4,20 @@ import tomllib
 from collections.abc import Mapping
 from importlib.resources.abc import Traversable
 from pathlib import Path
-from typing import Annotated, TypeVar
+from typing import Annotated, Any, ClassVar, TypeVar
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    GetJsonSchemaHandler,
+    SerializerFunctionWrapHandler,
+    ValidationError,
+    model_serializer,
+    model_validator,
+)
+from pydantic_core import CoreSchema
 
 from .errors import InputError
 
@@ -24,44 +34,107 @@ class StrictModel(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
-def in_hertz(settings: object, keys: Mapping[str, str]) -> object:
-    """Convert the frequencies of a table from rad/s to Hz, with six digits.
+def in_radians(settings: Mapping[str, Any], keys: Mapping[str, str]) -> dict[str, Any]:
+    """Convert the frequencies of a table from Hz to rad/s, with eight digits.
 
     Parameters
     ----------
-    settings : object, the table; anything else stays
+    settings : Mapping, the table
     keys : Mapping, key in rad/s -> key in Hz
 
     Returns
     -------
-    object
+    dict, in the order of the table
+
+    Examples
+    --------
+    >>> in_radians({"f_hz": [1.0, 2.0], "nu": [0.1, 0.2]}, {"omega_radps": "f_hz"})
+    {'omega_radps': [6.2831853, 12.566371], 'nu': [0.1, 0.2]}
+    """
+    names = {hertz: radians for radians, hertz in keys.items()}
+    return {
+        names.get(key, key): _converted(value, 2 * np.pi, 8) if key in names else value
+        for key, value in settings.items()
+    }
+
+
+def in_hertz(settings: Mapping[str, Any], keys: Mapping[str, str]) -> dict[str, Any]:
+    """Convert the frequencies of a table from rad/s to Hz, with six digits. Older tables state Hz.
+
+    Parameters
+    ----------
+    settings : Mapping, the table
+    keys : Mapping, key in rad/s -> key in Hz
+
+    Returns
+    -------
+    dict
 
     Raises
     ------
     ValueError
-        If a frequency is no number, or stated in both units.
+        If a frequency is no number above 0, or stated in both units.
 
     Examples
     --------
     >>> in_hertz({"omega_radps": [6.2831853, 12.566371]}, {"omega_radps": "f_hz"})
     {'f_hz': [1.0, 2.0]}
     """
-    if not isinstance(settings, dict):
-        return settings
     changed = dict(settings)
-    for stated, key in keys.items():
-        if stated not in changed:
-            continue
-        if key in changed:
-            raise ValueError(f"{stated} and {key} are the same: state one")
-        value = changed.pop(stated)
-        try:
-            omega = np.asarray(value, float)
-        except (TypeError, ValueError):
-            raise ValueError(f"{stated}: {value!r} is no frequency in rad/s") from None
-        hertz = [float(f"{w / (2 * np.pi):.6g}") for w in omega.ravel()]
-        changed[key] = hertz if omega.ndim else hertz[0]
+    for radians, hertz in keys.items():
+        if radians in changed and hertz in changed:
+            raise ValueError(f"{radians} and {hertz} are the same: state one")
+        for key, factor, unit in ((radians, 1 / (2 * np.pi), "rad/s"), (hertz, 1.0, "Hz")):
+            if key in changed:
+                value = changed.pop(key)
+                try:
+                    changed[hertz] = _converted(value, factor, 6)
+                    if value is not None and np.min(changed[hertz], initial=np.inf) <= 0:
+                        raise ValueError
+                except (TypeError, ValueError):
+                    raise ValueError(f"{key}: {value!r} is no frequency in {unit}") from None
     return changed
+
+
+def _converted(value: Any, factor: float, digits: int) -> Any:
+    """A number or a list of numbers times a factor; None stays."""
+    if value is None:
+        return None
+    scaled = factor * np.asarray(value, float)
+    rounded = [float(f"{x:.{digits}g}") for x in scaled.ravel()]
+    return rounded if scaled.ndim else rounded[0]
+
+
+class InRadians(StrictModel):
+    """Table whose frequencies stand in Hz here, and in rad/s in files.
+
+    Attributes
+    ----------
+    FREQUENCIES : Mapping, key of a file -> attribute, which older files state too
+    """
+
+    FREQUENCIES: ClassVar[Mapping[str, str]]
+
+    @model_validator(mode="before")
+    @classmethod
+    def _read(cls, settings: object) -> object:
+        return in_hertz(settings, cls.FREQUENCIES) if isinstance(settings, dict) else settings
+
+    @model_serializer(mode="wrap")
+    def _written(self, plain: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        return in_radians(plain(self), self.FREQUENCIES)
+
+    @classmethod
+    def __get_pydantic_json_schema__(cls, core: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
+        described = handler(core)
+        names = {hertz: radians for radians, hertz in cls.FREQUENCIES.items()}
+        for key in ("properties", "required"):
+            whole = described.get(key, {})
+            renamed = [names.get(name, name) for name in whole]
+            described[key] = (
+                dict(zip(renamed, whole.values(), strict=True)) if key == "properties" else renamed
+            )
+        return described
 
 
 def read_toml(source: Path | Traversable, what: str, where: object = None) -> dict:

@@ -9,9 +9,11 @@ time at which the log received the message. PX4 and ArduPilot logs have the vehi
 
 import io
 import json
+import re
 import warnings
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import redirect_stderr, redirect_stdout
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -26,6 +28,15 @@ from .packed import unpacked
 OPENPILOT = ("rlog", "qlog", "rlog.bz2", "qlog.bz2", "rlog.zst", "qlog.zst")
 LONGEST_ARRAY, DEEPEST = 4, 4
 """Arrays with more entries, and fields at a greater depth, are not read as signals."""
+IN_SI = re.compile(r"(sensor|geometry|nav|ackermann|autoware\w*)_msgs/(msg/)?(?!Accel)")
+"""Types of ROS messages whose definitions state SI units (REP 103)."""
+SI_UNITS = (
+    (re.compile(r"angular(_velocity)?\.[xyz]$|\.heading_rate$"), "rad/s"),
+    (re.compile(r"linear\.[xyz]$|\.(speed|longitudinal_velocity)$"), "m/s"),
+    (re.compile(r"linear_acceleration\.[xyz]$"), "m/s^2"),
+    (re.compile(r"\.steering_(tire_)?angle$"), "rad"),
+)
+"""Fields of these messages, and their units."""
 Message = tuple[str, int, Any]
 """Topic, time [ns], and the fields as a dictionary, an object or a list."""
 
@@ -103,11 +114,23 @@ def _rosbag(path: Path, _: Path | None) -> Table:
 
     folder = path.parent if path.suffix.lower() == ".db3" else path
     with AnyReader([folder], default_typestore=get_typestore(Stores.LATEST)) as reader:
-        return _table(
+        types = {_topic(connection.topic): connection.msgtype for connection in reader.connections}
+        table = _table(
             (_topic(connection.topic), t_ns, reader.deserialize(raw, connection.msgtype))
             for connection, t_ns, raw in reader.messages()
             if connection.msgtype in reader.typestore.fielddefs
         )
+    return _in_si(table, types)
+
+
+def _in_si(table: Table, types: Mapping[str, str]) -> Table:
+    """State the units of the messages of ROS that are in SI. ``types``: message type by topic."""
+
+    def unit(name: str) -> str:
+        field_of_si = IN_SI.match(types.get(name.split(".")[0], "")) is not None
+        return next((u for fields, u in SI_UNITS if field_of_si and fields.search(name)), "")
+
+    return Table({n: replace(s, unit=s.unit or unit(n)) for n, s in table.series.items()})
 
 
 def _topic(name: str) -> str:
@@ -118,11 +141,18 @@ def _mcap(path: Path, _: Path | None) -> Table:
     from mcap.reader import make_reader
     from mcap_ros2.decoder import DecoderFactory
 
-    factory = _Undecoded()
+    factory, types = _Undecoded(), dict[str, str]()
+
+    def messages() -> Iterator[Message]:
+        for schema, channel, message, ros in make_reader(
+            stream, decoder_factories=factories
+        ).iter_decoded_messages():
+            types[_topic(channel.topic)] = schema.name if schema else ""
+            yield _topic(channel.topic), message.log_time, ros
+
     with path.open("rb") as stream:
         factories: list[Any] = [DecoderFactory(), factory]
-        decoded = make_reader(stream, decoder_factories=factories).iter_decoded_messages()
-        table = _table((_topic(channel.topic), message.log_time, ros) for _, channel, message, ros in decoded)
+        table = _in_si(_table(messages()), types)
     if not table.series and factory.encodings:
         raise InputError(
             path, "", f"its messages are in {', '.join(sorted(factory.encodings))}", "those of ROS 2, or JSON"

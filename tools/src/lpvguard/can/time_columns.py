@@ -29,6 +29,7 @@ _NAMES = (
     r"tiempo|tempo|tijd|czas|时间)(_|$)",
 )
 _SECONDS, _NANOSECONDS = r"(^|_)(secs?|seconds)$", r"(^|_)(nsecs?|nanosecs?|nanoseconds)$"
+_CLOCKS = ("gmt", "utc", "unix", "posix")
 _EPOCH_S = (9.0e8, 4.0e9)
 """Range of seconds since 1970 for the years 1998 to 2096."""
 _STEP_S = (2e-4, 0.6)
@@ -76,7 +77,7 @@ def time_of(
         keep = _usable(bad, seconds, path, pair[0], first_line)
         t_ns = seconds[keep].astype(np.int64) * 10**9 + np.rint(nanoseconds[keep]).astype(np.int64)
         return t_ns, keep, set(pair)
-    column = named or _by_name(table)
+    column = named or _by_name(table) or _by_values(table, path)
     if column is None or column not in names:
         raise InputError(
             path,
@@ -237,8 +238,24 @@ def _by_name(table: pa.Table) -> str | None:
         grows = [n for n in matches if _tells_time(table, n) or _grows(_plain(table, n))]
         if matches:
             return (grows or matches)[0]
-    bare = [n for n in names if _low(n) in (*_UNIT_OF, "interval", "gmt", "utc")]
-    return next((n for n in bare if _grows(_plain(table, n))), None)
+    bare = [n for n in names if _low(n) in (*_UNIT_OF, "interval") or without_unit[n] in _CLOCKS]
+    return next((n for n in bare if _tells_time(table, n) or _grows(_plain(table, n))), None)
+
+
+def _by_values(table: pa.Table, path: Path) -> str | None:
+    """The one column, by whatever name, whose texts are dates with time or whose numbers count from 1970."""
+    telling = [n for n in table.column_names if _tells_time(table, n) or _is_epoch(_plain(table, n))]
+    if len(telling) != 1:
+        return None
+    what = f"column {telling[0]} is taken for the time: its values say so"
+    warnings.warn(f"{path}: {what}", InputWarning, stacklevel=1)
+    return telling[0]
+
+
+def _is_epoch(t: np.ndarray) -> bool:
+    """Tell if numbers grow and are as large as the time since 1970 in one of the units."""
+    size = float(np.nanmedian(t)) if np.isfinite(t).any() else 0.0
+    return _grows(t) and any(_EPOCH_S[0] <= size * ns / 1e9 <= _EPOCH_S[1] for ns in UNITS_NS.values())
 
 
 def _tells_time(table: pa.Table, name: str) -> bool:

@@ -182,7 +182,7 @@ class TradeOff:
 
 def between(c: Candidate, omega: np.ndarray) -> NuCeiling:
     """Ceiling of a candidate in the form of the project file, over the bins omega (K,) [rad/s]."""
-    return NuCeiling(f_hz=[float(f"{w / (2 * np.pi):.6g}") for w in omega[[1, -1]]], nu=[c.low, c.high])
+    return NuCeiling.model_validate({"omega_radps": omega[[1, -1]], "nu": [c.low, c.high]})
 
 
 def speeds(problem: FrozenProblem) -> list[float]:

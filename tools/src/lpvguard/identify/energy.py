@@ -14,6 +14,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.signal import bilinear_zpk, lfilter, sosfilt, zpk2sos
 
+from ..base.documents import in_hertz, in_radians
 from ..base.errors import InputError
 from ..base.runs import runs
 from ..core.compiled import band_names
@@ -21,7 +22,7 @@ from ..drives.frames import Estimator
 from ..engine.overbound.certificate import verify_overbound
 from ..engine.overbound.weight import Weight
 from ..engine.synthesis.statespace import prewarped
-from ..vehicle.project import Project
+from ..vehicle.project import EnergyTestSettings, Project
 from .calibration import ROUNDING, Calibration, RateTarget, Recordings, calibrate
 from .remembered import remembered
 
@@ -451,7 +452,7 @@ class EnergyTest:
 
     def to_dict(self) -> dict:
         """Convert to JSON types, for `restored`."""
-        return {
+        document = {
             "memory_s": self.memory_s,
             "band_hz": list(self.band_hz),
             "bands": list(self.bands),
@@ -464,6 +465,7 @@ class EnergyTest:
             "joint": self.joint,
             "calibration": self.calibration.to_dict(),
         }
+        return in_radians(document, EnergyTestSettings.FREQUENCIES)
 
     def restored(self, data: dict, where: str) -> EnergyTest:
         """The test with the stored sigma and calibration of ``data``. Raises InputError for other filters."""
@@ -474,10 +476,14 @@ class EnergyTest:
                 "made by an earlier version",
                 "an identification by this version: run `lpvguard identify` again",
             )
-        stored = (data["memory_s"], *data["band_hz"], data["settle_samples"], *data.get("bands", ()))
+        corners = in_hertz(data, EnergyTestSettings.FREQUENCIES)["band_hz"]
+        stored = (data["memory_s"], *corners, data["settle_samples"], *data.get("bands", ()))
         if stored != (self.memory_s, *self.band_hz, self.settle, *self.bands):
             raise InputError(
-                where, "memory_s, band_hz, settle_samples, bands", f"{stored}", "the values of project.json"
+                where,
+                "memory_s, band_radps, settle_samples, bands",
+                f"{(data['memory_s'], data.get('band_radps'), *stored[1 + len(corners) :])}",
+                "the values of project.json",
             )
         self._require_stated(data, where)
         return replace(

@@ -25,6 +25,8 @@ STATED_WITHIN = 1.45
 slide; where all units are stated, only a wrong unit is larger."""
 DOUBTFUL = 1.4
 """A reading whose lateral acceleration exceeds the kind's by no more may still be meant."""
+CREEPING = 0.05
+"""A reading whose largest lateral acceleration is below this share of the kind's is doubtful."""
 LEAST_LATERAL_MPS2 = {"car": 0.1, "truck": 0.1, "model": 0.35, "other": 0.1}
 LEAST_ANGLE_RAD = 0.01
 """If 99 % of a log stay below both, nobody steered, or degrees would be read as radians."""
@@ -42,6 +44,10 @@ KNOTS = 2.0
 """The same logarithm for knots in place of another unit: few loggers of cars have them."""
 DOUBTED = 2.0
 """Logarithm of the likelihood ratio from which another reading casts doubt on a stated unit."""
+NEAR = 1.5
+"""The same logarithm up to which another unit of the speed is asked about."""
+UNCERTAIN = 1.5
+"""Largest over smallest of the likely steering ratios from which on they are named."""
 ACCELERATION_WITHIN = 1.35
 """A lateral acceleration is speed times yaw rate within this factor; the body's roll adds a tenth."""
 SHORT_S = 10.0
@@ -133,7 +139,7 @@ def decided(
             "the columns of one vehicle on one clock, or " + ", ".join(_unit_options(choices)),
         )
     shares = _shares(measured, drives, choices)
-    near = [r for r in (*candidates, *shares) if r.beyond == 0.0]
+    near = _fitting(candidates, KINDS[known.kind]) + [r for r in shares if r.beyond == 0.0]
     said = "; or ".join(r.words() for r in near[:3])
     if len(near) > 1 or any(r.share for r in near):
         raise InputError(
@@ -160,7 +166,9 @@ def decided(
             "the wheelbase in m, or --steering-ratio",
         )
     _require_usual(best, measured, choices, certain)
-    return best, _evidence(turn, candidates, known)
+    other = None if "speed" in certain else _another_speed(best, measured)
+    _warn_of_ratio(best, measured)
+    return best, _evidence(turn, candidates, known, other)
 
 
 @dataclass(frozen=True)
@@ -184,6 +192,15 @@ def _sorted(
         for wheel in wheels
     ]
     return sorted(readings, key=lambda reading: reading.beyond)
+
+
+def _fitting(candidates: Sequence[UnitReading], kind: VehicleKind) -> list[UnitReading]:
+    """Readings within physics; beside one that only creeps also faster ones that are slightly beyond."""
+    fitting = [r for r in candidates if r.beyond == 0.0]
+    if len(fitting) == 1 and (slow := fitting[0].lateral_mps2) < CREEPING * kind.lateral_mps2:
+        slightly = [r for r in candidates if 0.0 < r.beyond <= np.log(DOUBTFUL)]
+        fitting += [r for r in slightly if r.lateral_mps2 > 10 * slow]
+    return fitting
 
 
 def _require_usual(
@@ -210,12 +227,58 @@ def _require_usual(
         warnings.warn(f"{what}; {settles} says which", InputWarning, stacklevel=1)
 
 
-def _evidence(turn: SteadyTurn, candidates: Sequence[UnitReading], known: Known) -> list[str]:
-    """Sentences for the first of the readings that remain."""
+def _another_speed(best: UnitReading, measured: _Measured) -> UnitReading | None:
+    """The likeliest reading with another unit of the speed alone; None where none is possible.
+
+    Where ratio or understeer is not known, it makes up for miles in place of kilometres. Raise InputError
+    where the reading is about as likely. Knots are too near to miles to doubt."""
+    known = measured.known
+    if known.kind not in TYPICAL or known.ratio is not None:
+        return None
+    alike = ("kn", "mph") if best.units["speed"] == "kn" else ("kn", best.units["speed"])
+    speeds = [u for u in USUAL_UNITS["speed"] if u not in alike]
+    choices = {role: [unit] for role, unit in best.units.items()} | {"speed": speeds}
+    possible = [r for r in _sorted(measured, choices, _wheels(known)) if r.beyond == 0.0]
+    other = min(possible, key=lambda r: r.atypical, default=None)
+    if other is not None and _likelier(best, other) < NEAR:
+        raise InputError(
+            "new",
+            "--speed-unit",
+            f"another unit of the speed is about as likely: {best.words()}; or {other.words()}",
+            " or ".join(_settles(r, [best, other]) for r in (best, other)),
+        )
+    return other
+
+
+def _warn_of_ratio(best: UnitReading, measured: _Measured) -> None:
+    """Warn where logs at one speed, or with little steering, leave the steering ratio open."""
+    known, turn, kind = measured.known, measured.turn, KINDS[measured.known.kind]
+    if best.ratio == 1.0 or known.ratio is not None or known.wheelbase_m is None or kind.ratio is None:
+        return
+    a, b, c = (unit_factor(best.units[role], DIMENSIONS[role]) or 1.0 for role in ROLES)
+    ratios = np.clip(np.abs(turn.length) * a * b / c / known.wheelbase_m, *kind.ratio)
+    if ratios.max() > UNCERTAIN * ratios.min():
+        what = f"steering ratios from {ratios.min():.3g} to {ratios.max():.3g} explain the logs about as well"
+        settles = f"{best.ratio:.3g} is taken; --steering-ratio, or logs at more speeds, settle it"
+        warnings.warn(f"{what}; {settles}", InputWarning, stacklevel=1)
+
+
+def _likelier(best: UnitReading, other: UnitReading) -> float:
+    """How much likelier a reading is than another, as a logarithm. Knots are as usual here as other units."""
+    return other.atypical - best.atypical + KNOTS * (best.units["speed"] == "kn")
+
+
+def _evidence(
+    turn: SteadyTurn, candidates: Sequence[UnitReading], known: Known, other: UnitReading | None
+) -> list[str]:
+    """Sentences for the first of the readings that remain, and for one with another unit of the speed."""
     best = candidates[0]
     evidence = [f"{turn.explained:.0%} of the yaw rate explained, {best.words()}"]
     if known.wheelbase_m is None:
         evidence.append(f"no wheelbase given: compare {best.wheelbase_m:.3g} m with the vehicle's")
+    if other is not None:
+        rarer = np.exp(min(_likelier(best, other), 20.0))
+        evidence.append(f"{rarer:.2g} times rarer: {other.words()}")
     if len(candidates) > 1:
         evidence.append(f"next best: {candidates[1].words()}, but {', '.join(candidates[1].why)}")
     return evidence

@@ -22,6 +22,7 @@ from .words import (
     ACCELERATION,
     FRACTION,
     GREEK,
+    MEASURED_MESSAGE,
     NEVER,
     NEVER_IN,
     NO_ANGLE,
@@ -119,7 +120,8 @@ def ranked(role: str, names: Iterable[str], units: Mapping[str, str] | None = No
         if role == "speed":
             likely = likely or in_name
         if certain or likely or ((stated or in_name) and re.search(WITH_UNIT.get(role, "$^"), low)):
-            less = 1.5 * bool(re.search(NOT[role], low)) + 0.5 * bool(OTHERS_MESSAGE.search(message.lower()))
+            other = OTHERS_MESSAGE.search(message.lower()) and not MEASURED_MESSAGE.search(message.lower())
+            less = 1.5 * bool(re.search(NOT[role], low)) + 0.5 * bool(other)
             less += 0.5 * (role == "speed" and WHEEL.search(low) is not None)
             less += 3.0 * (REQUEST.search(low) is not None) + 2.0 * _of_another(unit, role)
             scores[name] = (2 if certain else 1) - less + of_twist + 1.25 * stated

@@ -17,19 +17,21 @@ WORDS = {
     "speed": (
         _any(
             r"^(v|vx|v_x|vel|speed|v_?ego|ego_?v)$ ^(longitudinal|forward)_(speed|vel) "
-            r"(vehicle|veh|car|ego)_?(speed|spd|velocity)"
+            r"(vehicle|veh|car|ego)_?(speed|spd|velocity) vitesse_?v[eé]h fahr(zeug)?_?geschw"
         ),
         _any(
-            r"linear_(vel_)?x (^|_)v_?x(_|$) speed spd veloc (^|_)vel(_|$) ^vel geschw vitesse "
-            r"(^|_)v_signal veh_?v_ ^(u|v_?long|sog|tempo|tacho)(_|$) ^h\u0131z snelheid hastighet "
-            r"rychlost pr[eę]dko[sś] velocid velocit 车速"
+            r"linear_(vel_)?x (^|_)v_?x(_|$) ^v_?(fzg|kfz|auto)(_|$) speed spd veloc (^|_)vel(_|$) ^vel "
+            r"geschw vitesse (^|_)v_signal veh_?v_ ^(u|v_?long?|v_gps|sog|tempo|tacho)(_|$) "
+            r"((^|_)v|vit)_?veh(_|$) ^veh_v$ ^vfz ^h\u0131z snelheid hastighet rychlost pr[eę]dko[sś] "
+            r"velocid velocit 车速"
         ),
     ),
     "input": (
         _any(r"^(delta|steer|swa)$ road_?wheel (steer|steering)_?(wheel|whl)?_?ang(le)?(_|$)"),
         _any(
             r"steer (^|_)delta(_|$) wheel_?angle lenk volant braquage (^|_)sterz (^|_)(lws|sas)_(ang|wink) "
-            r"internal_?sas _lrw$ ste(pin|whl).*_an st(r|rg|w)?_?(wheel|whl|w)?_?angl? whl_?ang "
+            r"internal_?sas _lrw$ ste(pin|whl).*_an st(r|rg|w)?_?(wheel|whl|wh|w)?_?angl? "
+            r"strg?_?whl_?ag(_|$) ^ang(le)?_?(st(ee)?r|vol)(_|whl|$) (^|_)stea_ ^hw_?ang whl_?ang "
             r"^l(r?w|ws)$ (^sw|hand_?wheel)_?(pos|ang|deg|rad) ^(hwa|rwa)(_|$) "
             r"(servo|t[iy]re)_?(pos|angle) direcci[oó]n stuur ratt_?v skret kierown sterzo 方向盘 转角"
         ),
@@ -37,9 +39,10 @@ WORDS = {
     "output": (
         _any(r"^(r|w_?z|yaw_?rate)$"),
         _any(
-            r"yaw_?(rate|rte?|r$|vel|speed|spd|w_) ang(ular)?_?(vel|rate|velocity|speed)_?z "
+            r"yaw_?(rate|rte?|r$|vel|speed|spd|w_|dot|veh$) ang(ular)?_?(vel|rate|velocity|speed)_?z "
             r"gyro?(scope)?_?z omega_?z ^omega$ psi_?(dot|punkt|p$) ^d_?psi(_?dt)?$ ^gz(_|$) ^a_?v_?z$ "
             r"rot(ation)?_?(rate|speed|vel)?_?z(_|$) (^|_)rate_?(\w+_)?z(_|$) z_?(axis_)?rate_of_rot "
+            r"^z_?rate(_|$) "
             r"(heading|turn)_?(rate|speed) (^|_)gyro$ _wz(_|$) gier lacet imbard gui[nñ] gir(asj|hast) 横摆"
         ),
     ),
@@ -67,7 +70,8 @@ NEVER = {
         r"ang steer lenk sas rate_ hud clu_ kombi angez dsply display navi expected"
     ),
     "input": _any(
-        r"rate(?!d) torque tq trq speed spd vel gesch grd moment hilfe fraction override volt "
+        r"rate(?!d) torque couple coppia effort drehm tq trq speed spd vel gesch grd moment hilfe fraction "
+        r"override volt "
         r"pressure hands hold assist warn config index menu flex ratio typ required verbau max"
     ),
     "output": _any(
@@ -78,7 +82,9 @@ NEVER = {
 }
 """By role: other quantities that share a word with it."""
 NEVER_IN = {
-    "speed": _any(r"(local|global)_position vehicle_odometry (^|_)(ned|enu)(_|$) attitude"),
+    "speed": _any(
+        r"(local|global)_position localization.*pose vehicle_odometry (^|_)(ned|enu)(_|$) attitude"
+    ),
     "input": _any(r"imu gyro attitude local_position"),
     "output": "(?!)",
 }
@@ -94,7 +100,7 @@ NOT = {
 """By role: what lowers a name's rank. A command and a copy share its words."""
 REQUEST = re.compile(_any(r"req cmd command target demand ^des(?!c) unknown"))
 """In names of what is asked for, and of what nobody knows: below every measurement."""
-WHEEL = re.compile(_any(r"wheel whl rad_?geschw"))
+WHEEL = re.compile(_any(r"wheel whl rad_?geschw (^|_)roue rueda ruota"))
 """In names of the speed of one wheel."""
 NO_MEASUREMENT = re.compile(
     _any(
@@ -118,6 +124,8 @@ OTHERS_MESSAGE = re.compile(
     )
 )
 """In names of messages that carry a signal for another purpose."""
+MEASURED_MESSAGE = re.compile(_any(r"feedback measured actual report odom sensor"))
+"""In names of messages that carry a measurement, whatever its fields are called."""
 
 STEERING_WHEEL = re.compile(
     _any(r"steering_?wheel hand_?wheel lenkrad ^swa _swa (^|_)lw[iz]?(_|$) volant rattv stuurw 方向盘")

@@ -9,12 +9,12 @@ from __future__ import annotations
 from importlib import resources
 from itertools import pairwise
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
 
-from ..base.documents import Fraction, Positive, StrictModel, checked, in_hertz, read_toml
+from ..base.documents import Fraction, InRadians, Positive, StrictModel, checked, read_toml
 from ..base.errors import InputError
 from .design_settings import DesignSettings
 from .physics import KindName
@@ -183,7 +183,7 @@ class ModelSettings(StrictModel):
     let: dict[str, str] = Field(default={})
 
 
-class FrameSettings(StrictModel):
+class FrameSettings(InRadians):
     """Settings of the estimator (THEORY 3.2, 3.3).
 
     Attributes
@@ -194,8 +194,8 @@ class FrameSettings(StrictModel):
     length_s : float or None, s, length of the frame of ``dft``
     periods : int, periods in a Hann frame
     bins_per_decade : int
-    f_min_hz, f_max_hz : float, Hz
-        Project files state omega_min_radps and omega_max_radps in rad/s, of which six digits count.
+    omega_min_radps, omega_max_radps, f_min_hz, f_max_hz : float, rad/s, of which six digits count
+        In Hz, as f_min_hz and f_max_hz, in Python and in older files.
     hop_per_frame : int, hops in a frame
     speed_tolerance : float, relative change of speed within a frame
     """
@@ -209,10 +209,7 @@ class FrameSettings(StrictModel):
     hop_per_frame: Literal[2] = 2
     speed_tolerance: Fraction = 0.15
 
-    @model_validator(mode="before")
-    @classmethod
-    def _frequencies(cls, settings: object) -> object:
-        return in_hertz(settings, {"omega_min_radps": "f_min_hz", "omega_max_radps": "f_max_hz"})
+    FREQUENCIES: ClassVar = {"omega_min_radps": "f_min_hz", "omega_max_radps": "f_max_hz"}
 
     @model_validator(mode="after")
     def _length(self) -> FrameSettings:
@@ -221,30 +218,27 @@ class FrameSettings(StrictModel):
         return self
 
 
-class NuCeiling(StrictModel):
+class NuCeiling(InRadians):
     """Upper limit on the uncertainty bound over frequency (THEORY 5.1).
 
     Attributes
     ----------
-    f_hz : list of float, Hz
-        Project files state omega_radps in rad/s.
-    nu : list of float, upper limit at f_hz
+    omega_radps, f_hz : list of float, rad/s
+        In Hz, as f_hz, in Python and in older files.
+    nu : list of float, upper limit at omega_radps
     """
 
     f_hz: list[Positive]
     nu: list[Positive]
 
-    @model_validator(mode="before")
-    @classmethod
-    def _frequencies(cls, settings: object) -> object:
-        return in_hertz(settings, {"omega_radps": "f_hz"})
+    FREQUENCIES: ClassVar = {"omega_radps": "f_hz"}
 
     @model_validator(mode="after")
     def _shape(self) -> NuCeiling:
         if len(self.f_hz) != len(self.nu) or not self.f_hz:
-            raise ValueError("nu_ceiling: f_hz and nu must be non-empty and equally long")
+            raise ValueError("nu_ceiling: omega_radps and nu must be non-empty and equally long")
         if any(b <= a for a, b in zip(self.f_hz, self.f_hz[1:], strict=False)):
-            raise ValueError("nu_ceiling: f_hz must increase")
+            raise ValueError("nu_ceiling: omega_radps must increase")
         return self
 
     def at(self, f_hz: np.ndarray) -> np.ndarray:
@@ -361,24 +355,21 @@ class FrameTestSettings(StrictModel):
         return {k: v for k, v in plain(self).items() if not k.startswith("alarms_") or v}
 
 
-class EnergyTestSettings(StrictModel):
+class EnergyTestSettings(InRadians):
     """Settings of the energy test (THEORY 7.2).
 
     Attributes
     ----------
-    band_hz : tuple of float or None, Hz
-        Two to seven increasing corner frequencies, by default the frames' f_min_hz and f_max_hz.
-        Project files state band_radps in rad/s.
-    memory_s : float or None, s, time constant of the forgetting, by default one period of f_min_hz
+    band_radps, band_hz : tuple of float or None, rad/s
+        Two to seven increasing corner frequencies, by default the frames' omega_min_radps and
+        omega_max_radps. In Hz, as band_hz, in Python and in older files.
+    memory_s : float or None, s, time constant of the forgetting, by default one period of omega_min_radps
     """
 
     band_hz: Annotated[tuple[Positive, ...], Field(min_length=2, max_length=7)] | None = None
     memory_s: Positive | None = None
 
-    @model_validator(mode="before")
-    @classmethod
-    def _frequencies(cls, settings: object) -> object:
-        return in_hertz(settings, {"band_radps": "band_hz"})
+    FREQUENCIES: ClassVar = {"band_radps": "band_hz"}
 
 
 class ChangeTestSettings(StrictModel):
@@ -387,7 +378,7 @@ class ChangeTestSettings(StrictModel):
     Attributes
     ----------
     memory_s : float or None, s, time constant of the forgetting
-        By default a quarter of a period of f_min_hz, but at least two blocks.
+        By default a quarter of a period of omega_min_radps, but at least two blocks.
     """
 
     memory_s: Positive | None = None
@@ -646,7 +637,9 @@ class Project(StrictModel):
             raise ValueError("frames: lowest < highest frequency < half the sampling rate must hold")
         corners = (*(self.energy_test.band_hz or ()), 0.5 / self.Ts_s)
         if not all(low < high for low, high in pairwise(corners)):
-            raise ValueError("energy_test.band_hz: corners must rise and stay below half the sampling rate")
+            raise ValueError(
+                "energy_test.band_radps: corners must rise and stay below half the sampling rate"
+            )
         return self
 
     def _require_own_bus(self, bus: OwnBus) -> None:

@@ -117,7 +117,7 @@ def redundant_project() -> Project:
         "title": "A car with four measurements of its yaw rate",
         "design": None,
         "bounds": document["bounds"] | {"structure": "S1_diagonal"},
-        "frames": document["frames"] | {"f_max_hz": 2.0},
+        "frames": document["frames"] | {"omega_max_radps": 12.566371},
         "isolation": {"vehicle": ["K", "T1"], "speed_power": {"acceleration_rate": -1}},
     }
     return parse_project(document, "the redundant car")

@@ -59,7 +59,7 @@ CYCLES_PER_INSTRUCTION = 1.0
 def budget_project() -> Project:
     """Project of the truck with 20 bins, DC included."""
     document = load_project("truck").model_dump(by_alias=True)
-    document["frames"] |= {"bins_per_decade": 12, "f_max_hz": 1.9}
+    document["frames"] |= {"bins_per_decade": 12, "omega_max_radps": 11.938052}
     return parse_project(document, "truck with 20 bins")
 
 
