@@ -31,7 +31,8 @@ LPVG_EXTERN_C_BEGIN
 #define LPVG_WATCH_CORNER_RPS 1.0F  ///< corner of F                                    [rad/s]
 #define LPVG_WATCH_SHORT_S 1.0F  ///< shorter time constant of the forgetting        [s]
 #define LPVG_WATCH_LONG_S 5.0F  ///< longer time constant of the forgetting         [s]
-#define LPVG_WATCH_COHERENCE_S 1.5F  ///< longest time for which a disturbance may follow the response [s]
+#define LPVG_WATCH_QUICK_COHERENCE_S 0.75F  ///< longest time for which a disturbance above the outer corner may follow the response [s]
+#define LPVG_WATCH_COHERENCE_S 1.5F  ///< longest time for which a disturbance between the outer corners may follow the response [s]
 #define LPVG_WATCH_MEMORIES 3  ///< number of memories: the shorter, the longer, and one for the slow parts
 #define LPVG_WATCH_GAIN_MAX 0.6F  ///< largest watched |d|: a gain of 0.3 is beyond it  [-]
 #define LPVG_WATCH_ERROR_SHOWN 1.5F  ///< |d| that Q_j must suffice to show; a reversed and a tripled response have |d| = 2 [-]
@@ -45,17 +46,16 @@ LPVG_EXTERN_C_BEGIN
 
 /// Limits of the watch, derived from the coefficients.
 typedef struct lpvg_watch_limits_t {
-    lpvg_real_t gain[LPVG_NY];  ///< largest accepted constant |d_j|; 1: output j is not watched [-]
-    lpvg_real_t disturbance[LPVG_NY];  ///< largest part of F w_j along F phi_j                       [output unit]
-    lpvg_real_t slow_disturbance[LPVG_NY];  ///< largest part of the rest of w_j along that of phi_j  [output unit]
-    lpvg_real_t share;  ///< share of the distance to its input that the high-pass's state moves per sample [-]
-    lpvg_real_t forget[LPVG_WATCH_MEMORIES];  ///< share of the sums that one sample forgets       [-]
+    lpvg_real_t gain[LPVG_NY];  ///< largest accepted constant |d_j|; the largest number: output j is not watched [-]
+    lpvg_real_t disturbance[LPVG_WATCH_MEMORIES][LPVG_NY];  ///< largest part of F w_j along F phi_j  [output unit]
+    lpvg_real_t share;  ///< share of the distance to its input that the slower lag's state moves per sample [-]
+    lpvg_real_t keep[2];  ///< share of the first two pairs of sums that one sample keeps        [-]
 } lpvg_watch_limits_t;
 
 typedef struct lpvg_watch_t {
     lpvg_real_t x[LPVG_NX];  ///< state of the model whose output is phi       [mixed]
     lpvg_real_t past[LPVG_DELAY + 1][LPVG_NU];  ///< demands minus the offset, the newest first  [input unit]
-    lpvg_real_t slow[2 * LPVG_NY];  ///< slow parts of e, then phi, that F removes              [output unit]
+    lpvg_real_t lag[2][2 * LPVG_NY];  ///< lags of e, then phi, the faster first                [output unit]
     lpvg_real_t P[LPVG_WATCH_MEMORIES][LPVG_NY];  ///< sums of F e_j F phi_j, at last of their slow parts  [output unit squared]
     lpvg_real_t Q[LPVG_WATCH_MEMORIES][LPVG_NY];  ///< sums of (F phi_j)^2, at last of the slow part     [output unit squared]
     bool violated;  ///< the newest sums of an output violate the limit
