@@ -1,9 +1,10 @@
 /// @file watch.h -- watch of the response: does the vehicle follow the demand as modelled, within seconds of engagement?
 ///
-/// phi is the response of the nominal model to the demand. It goes on through missing measurements. e is the measured output minus phi. F
-/// is a high-pass with corner LPVG_WATCH_CORNER_RPS that starts at rest with both signals. The sums below begin with the engagement. They
-/// forget with LPVG_WATCH_SHORT_S, for sudden faults, and with LPVG_WATCH_LONG_S, for weak ones. A third pair of sums is for demands that
-/// hardly move. It takes the part that F removes and forgets as the energy test does. For all three memories and each output j
+/// phi is the response of the nominal model to the demand. It goes on through missing measurements. e is the measured output minus phi.
+/// F takes a part of both signals and starts at rest with them. The sums below begin with the engagement. There are three pairs of them:
+/// for sudden faults F takes what is above the energy test's upper corner, and the sums forget with LPVG_WATCH_SHORT_S. For weak ones F
+/// is a high-pass with corner LPVG_WATCH_CORNER_RPS and the sums forget with LPVG_WATCH_LONG_S. For demands that hardly move F takes what
+/// the first pair leaves, and the sums forget as the energy test does. For each pair and output j
 ///
 ///     P_j = sum of F e_j F phi_j      Q_j = sum of (F phi_j)^2      |P_j| <= gain_j Q_j + disturbance_j sqrt(Q_j)            (T46)
 ///
@@ -13,8 +14,9 @@
 ///
 /// gain_j is the smallest W_certificate,j of all bins: a larger constant error lies outside the certificate set. If it is above
 /// LPVG_WATCH_GAIN_MAX, gain_j is the largest gain that the change test accepts as healthy. If that is too large as well, output j is
-/// not watched. disturbance_j comes from the energy test's sigma_j between its outer corners, over LPVG_WATCH_COHERENCE_S. For the third
-/// pair the whole sigma_j below the first corner is added in power: a disturbance there may follow the response at all times.
+/// not watched. disturbance_j comes from the energy test's sigma_j: above its upper corner over LPVG_WATCH_QUICK_COHERENCE_S, between the
+/// outer corners over LPVG_WATCH_COHERENCE_S. For the third pair the whole sigma_j below the first corner is added in power: a disturbance
+/// there may follow the response at all times.
 ///
 /// The sums are *evidence* when a vehicle without response, P_j = -Q_j, would violate the limit.
 ///
@@ -28,7 +30,7 @@
 
 LPVG_EXTERN_C_BEGIN
 
-#define LPVG_WATCH_CORNER_RPS 1.0F  ///< corner of F                                    [rad/s]
+#define LPVG_WATCH_CORNER_RPS 1.0F  ///< corner of the second pair's F                  [rad/s]
 #define LPVG_WATCH_SHORT_S 1.0F  ///< shorter time constant of the forgetting        [s]
 #define LPVG_WATCH_LONG_S 5.0F  ///< longer time constant of the forgetting         [s]
 #define LPVG_WATCH_QUICK_COHERENCE_S 0.75F  ///< longest time for which a disturbance above the outer corner may follow the response [s]
