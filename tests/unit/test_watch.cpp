@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <cmath>
 #include <cstring>
+#include <limits>
 #include <vector>
 
 #include "lpvguard/watch.h"
@@ -41,15 +42,17 @@ public:
         }
         bool violated = false, evidence = false, close = false;
         for (std::size_t j = 0; j < ny; ++j) {
-            const double lag = settled ? 1.0 - 1.0 / (1.0 + static_cast<double>(LPVG_WATCH_CORNER_RPS) * period_s) : 1.0;
-            slow_[j] += lag * (static_cast<double>(phi[j]) - slow_[j]);
-            const double quick = static_cast<double>(phi[j]) - slow_[j];
+            const double now = static_cast<double>(phi[j]);
+            const double slow_share = 1.0 - 1.0 / (1.0 + static_cast<double>(LPVG_WATCH_CORNER_RPS) * period_s);
+            slow_[j] += (settled ? slow_share : 1.0) * (now - slow_[j]);
+            below_[j] += (settled ? 2.0 * static_cast<double>(coeff_.reals.energy_corner[LPVG_NBANDS - 2]) : 1.0) * (now - below_[j]);
+            const double parts[LPVG_WATCH_MEMORIES] = {now - below_[j], now - slow_[j], below_[j]};
             for (std::size_t m = 0; m < LPVG_WATCH_MEMORIES; ++m) {
                 const bool lasting = m == 2U;
-                const double response = lasting ? slow_[j] : quick, error = gain * response + (lasting ? offset(j) : 0.0);
+                const double response = parts[m], error = gain * response + (lasting ? offset(j) : 0.0);
                 const double memory_s = static_cast<double>(m == 0U ? LPVG_WATCH_SHORT_S : LPVG_WATCH_LONG_S);
                 const double rho = lasting ? 1.0 - static_cast<double>(coeff_.reals.energy_forget[0]) : memory_s / (memory_s + period_s);
-                const double disturbance = static_cast<double>(lasting ? limits.slow_disturbance[j] : limits.disturbance[j]);
+                const double disturbance = static_cast<double>(limits.disturbance[m][j]);
                 double &p = products_[m][j], &q = sums_[m][j];
                 p = settled ? p * rho + error * response : p;
                 q = settled ? q * rho + response * response : q;
@@ -70,7 +73,7 @@ public:
     }
     // Largest constant offset that the third pair of sums leaves to a disturbance.
     double largest_offset(std::size_t j) const {
-        return static_cast<double>(limits.slow_disturbance[j]) * std::sqrt(static_cast<double>(coeff_.reals.energy_forget[0]));
+        return static_cast<double>(limits.disturbance[2][j]) * std::sqrt(static_cast<double>(coeff_.reals.energy_forget[0]));
     }
     double offset(std::size_t j) const { return share * largest_offset(j); }
 
@@ -84,7 +87,7 @@ private:
     lpvg_model_t model_{};
     lpvg_real_t y_[ny] = {};
     bool rests_ = true;
-    double slow_[ny] = {}, sums_[LPVG_WATCH_MEMORIES][ny] = {}, products_[LPVG_WATCH_MEMORIES][ny] = {};
+    double slow_[ny] = {}, below_[ny] = {}, sums_[LPVG_WATCH_MEMORIES][ny] = {}, products_[LPVG_WATCH_MEMORIES][ny] = {};
 };
 
 }  // namespace
@@ -156,7 +159,7 @@ TEST_CASE("the response goes on through missing measurements, and behind a clear
             CHECK(*std::max_element(&vehicle.watch.Q[0][0], &vehicle.watch.Q[0][0] + LPVG_WATCH_MEMORIES * ny) == lpvg_real_t(0));
             CHECK(*std::min_element(&vehicle.watch.P[0][0], &vehicle.watch.P[0][0] + LPVG_WATCH_MEMORIES * ny) == lpvg_real_t(0));
             CHECK(std::equal(std::begin(before.x), std::end(before.x), std::begin(vehicle.watch.x)));
-            CHECK(std::equal(std::begin(before.slow), std::end(before.slow), std::begin(vehicle.watch.slow)));
+            CHECK(std::equal(&before.lag[0][0], &before.lag[0][0] + 4U * ny, &vehicle.watch.lag[0][0]));
             vehicle.forget();
         }
         wrong += vehicle.step(std::sin(0.02 * k), -1.0, true, k % 300 < 250) ? 0 : 1;
@@ -184,7 +187,7 @@ TEST_CASE("the largest gain is the certificate's, or the healthy one, or the out
     coeff.reals.W_certificate[LPVG_NBINS - 1][0] = lpvg_real_t(0.7);
     set_healthy(0U, 0.7);
     lpvg_watch_limits(&limits, &coeff);
-    CHECK(limits.gain[0] == lpvg_real_t(1));
+    CHECK(limits.gain[0] == std::numeric_limits<lpvg_real_t>::max());
     coeff.reals.W_certificate[1][0] = lpvg_real_t(0.25);
     coeff.reals.W_certificate[2][LPVG_NDELTA - 1] = lpvg_real_t(0.5);
     lpvg_watch_limits(&limits, &coeff);
@@ -212,19 +215,20 @@ TEST_CASE("the limits are those of their formulas", "[unit][watch][REQ-ECU-17]")
     lpvg_watch_limits_t limits{};
     lpvg_watch_limits(&limits, &coeff);
     CHECK(static_cast<double>(limits.share) == Approx(0.2 / 1.2).epsilon(1e-5));
-    CHECK(static_cast<double>(limits.forget[0]) == Approx(0.2 / 1.2).epsilon(1e-5));
-    CHECK(static_cast<double>(limits.forget[1]) == Approx(0.2 / 5.2).epsilon(1e-5));
-    CHECK(limits.forget[2] == coeff.reals.energy_forget[0]);
+    CHECK(static_cast<double>(limits.keep[0]) == Approx(1.0 / 1.2).epsilon(1e-5));
+    CHECK(static_cast<double>(limits.keep[1]) == Approx(5.0 / 5.2).epsilon(1e-5));
     for (std::size_t j = 0; j < ny; ++j) {
         CHECK(static_cast<double>(limits.gain[j]) == Approx(0.3).epsilon(1e-5));
-        double power = 0.0;
-        for (std::size_t b = 1; b + 1U < LPVG_NBANDS; ++b) {
+        double power[LPVG_NBANDS], inner = 0.0;
+        for (std::size_t b = 0; b < LPVG_NBANDS; ++b) {
             const auto scale = static_cast<double>(coeff.reals.energy_scale[b][j]);
-            power += static_cast<double>(coeff.reals.energy_forget[b]) / (scale * scale);
+            power[b] = static_cast<double>(coeff.reals.energy_forget[b]) / (scale * scale);
+            inner += b > 0U && b + 1U < LPVG_NBANDS ? power[b] : 0.0;
         }
-        CHECK(static_cast<double>(limits.disturbance[j]) == Approx(std::sqrt(power * 8.5)).epsilon(1e-4));
+        CHECK(static_cast<double>(limits.disturbance[0][j]) == Approx(std::sqrt(power[LPVG_NBANDS - 1] * 4.75)).epsilon(1e-4));
+        CHECK(static_cast<double>(limits.disturbance[1][j]) == Approx(std::sqrt(inner * 8.5)).epsilon(1e-4));
         const double sigma = 1.0 / static_cast<double>(coeff.reals.energy_scale[0][j]);
-        CHECK(static_cast<double>(limits.slow_disturbance[j]) == Approx(std::sqrt(power * 8.5 + sigma * sigma)).epsilon(1e-4));
+        CHECK(static_cast<double>(limits.disturbance[2][j]) == Approx(std::sqrt(inner * 8.5 + sigma * sigma)).epsilon(1e-4));
     }
     coeff.reals.change_threshold = LPVG_WATCH_GAIN_MAX;
     lpvg_watch_limits(&limits, &coeff);
@@ -239,7 +243,7 @@ TEST_CASE("the limits are those of their formulas", "[unit][watch][REQ-ECU-17]")
 
 TEST_CASE("what is not watched neither violates nor is evidence, and what is not a number violates", "[unit][watch][REQ-ECU-17]") {
     Vehicle blind;
-    std::fill(std::begin(blind.limits.gain), std::end(blind.limits.gain), lpvg_real_t(1));
+    std::fill(std::begin(blind.limits.gain), std::end(blind.limits.gain), std::numeric_limits<lpvg_real_t>::max());
     Vehicle damaged;
     damaged.watch.P[1][0] = lpvg_real_t(NAN);
     for (int k = 0; k < 300; ++k) {
@@ -263,12 +267,11 @@ TEST_CASE("a violation is beyond both limits, to the last digit", "[unit][watch]
             Vehicle vehicle;
             vehicle.share = 0.0;
             (void)vehicle.step(0.0, 0.0);
-            const bool lasting = m + 1U == LPVG_WATCH_MEMORIES;
-            const auto far = lpvg_real_t(100), near = static_cast<lpvg_real_t>(each.disturbance);
             std::fill(std::begin(vehicle.limits.gain), std::end(vehicle.limits.gain), lpvg_real_t(0));
-            std::fill(std::begin(vehicle.limits.disturbance), std::end(vehicle.limits.disturbance), lasting ? far : near);
-            std::fill(std::begin(vehicle.limits.slow_disturbance), std::end(vehicle.limits.slow_disturbance), lasting ? near : far);
-            std::fill(std::begin(vehicle.limits.forget), std::end(vehicle.limits.forget), lpvg_real_t(0));
+            std::fill(&vehicle.limits.disturbance[0][0], &vehicle.limits.disturbance[0][0] + LPVG_WATCH_MEMORIES * ny, lpvg_real_t(100));
+            std::fill(std::begin(vehicle.limits.disturbance[m]), std::end(vehicle.limits.disturbance[m]),
+                      static_cast<lpvg_real_t>(each.disturbance));
+            std::fill(std::begin(vehicle.limits.keep), std::end(vehicle.limits.keep), lpvg_real_t(1));
             vehicle.watch.P[m][ny - 1U] = static_cast<lpvg_real_t>(each.product);
             vehicle.watch.Q[m][ny - 1U] = lpvg_real_t(4);
             (void)vehicle.step(0.0, 0.0);

@@ -1,9 +1,10 @@
 /// @file watch.h -- watch of the response: does the vehicle follow the demand as modelled, within seconds of engagement?
 ///
-/// phi is the response of the nominal model to the demand. It goes on through missing measurements. e is the measured output minus phi. F
-/// is a high-pass with corner LPVG_WATCH_CORNER_RPS that starts at rest with both signals. The sums below begin with the engagement. They
-/// forget with LPVG_WATCH_SHORT_S, for sudden faults, and with LPVG_WATCH_LONG_S, for weak ones. A third pair of sums is for demands that
-/// hardly move. It takes the part that F removes and forgets as the energy test does. For all three memories and each output j
+/// phi is the response of the nominal model to the demand. It goes on through missing measurements. e is the measured output minus phi.
+/// F takes a part of both signals and starts at rest with them. The sums below begin with the engagement. There are three pairs of them:
+/// for sudden faults F takes what is above the energy test's upper corner, and the sums forget with LPVG_WATCH_SHORT_S. For weak ones F
+/// is a high-pass with corner LPVG_WATCH_CORNER_RPS and the sums forget with LPVG_WATCH_LONG_S. For demands that hardly move F takes what
+/// the first pair leaves, and the sums forget as the energy test does. For each pair and output j
 ///
 ///     P_j = sum of F e_j F phi_j      Q_j = sum of (F phi_j)^2      |P_j| <= gain_j Q_j + disturbance_j sqrt(Q_j)            (T46)
 ///
@@ -13,8 +14,9 @@
 ///
 /// gain_j is the smallest W_certificate,j of all bins: a larger constant error lies outside the certificate set. If it is above
 /// LPVG_WATCH_GAIN_MAX, gain_j is the largest gain that the change test accepts as healthy. If that is too large as well, output j is
-/// not watched. disturbance_j comes from the energy test's sigma_j between its outer corners, over LPVG_WATCH_COHERENCE_S. For the third
-/// pair the whole sigma_j below the first corner is added in power: a disturbance there may follow the response at all times.
+/// not watched. disturbance_j comes from the energy test's sigma_j: above its upper corner over LPVG_WATCH_QUICK_COHERENCE_S, between the
+/// outer corners over LPVG_WATCH_COHERENCE_S. For the third pair the whole sigma_j below the first corner is added in power: a disturbance
+/// there may follow the response at all times.
 ///
 /// The sums are *evidence* when a vehicle without response, P_j = -Q_j, would violate the limit.
 ///
@@ -28,10 +30,11 @@
 
 LPVG_EXTERN_C_BEGIN
 
-#define LPVG_WATCH_CORNER_RPS 1.0F  ///< corner of F                                    [rad/s]
+#define LPVG_WATCH_CORNER_RPS 1.0F  ///< corner of the second pair's F                  [rad/s]
 #define LPVG_WATCH_SHORT_S 1.0F  ///< shorter time constant of the forgetting        [s]
 #define LPVG_WATCH_LONG_S 5.0F  ///< longer time constant of the forgetting         [s]
-#define LPVG_WATCH_COHERENCE_S 1.5F  ///< longest time for which a disturbance may follow the response [s]
+#define LPVG_WATCH_QUICK_COHERENCE_S 0.75F  ///< longest time for which a disturbance above the outer corner may follow the response [s]
+#define LPVG_WATCH_COHERENCE_S 1.5F  ///< longest time for which a disturbance between the outer corners may follow the response [s]
 #define LPVG_WATCH_MEMORIES 3  ///< number of memories: the shorter, the longer, and one for the slow parts
 #define LPVG_WATCH_GAIN_MAX 0.6F  ///< largest watched |d|: a gain of 0.3 is beyond it  [-]
 #define LPVG_WATCH_ERROR_SHOWN 1.5F  ///< |d| that Q_j must suffice to show; a reversed and a tripled response have |d| = 2 [-]
@@ -45,17 +48,16 @@ LPVG_EXTERN_C_BEGIN
 
 /// Limits of the watch, derived from the coefficients.
 typedef struct lpvg_watch_limits_t {
-    lpvg_real_t gain[LPVG_NY];  ///< largest accepted constant |d_j|; 1: output j is not watched [-]
-    lpvg_real_t disturbance[LPVG_NY];  ///< largest part of F w_j along F phi_j                       [output unit]
-    lpvg_real_t slow_disturbance[LPVG_NY];  ///< largest part of the rest of w_j along that of phi_j  [output unit]
-    lpvg_real_t share;  ///< share of the distance to its input that the high-pass's state moves per sample [-]
-    lpvg_real_t forget[LPVG_WATCH_MEMORIES];  ///< share of the sums that one sample forgets       [-]
+    lpvg_real_t gain[LPVG_NY];  ///< largest accepted constant |d_j|; the largest number: output j is not watched [-]
+    lpvg_real_t disturbance[LPVG_WATCH_MEMORIES][LPVG_NY];  ///< largest part of F w_j along F phi_j  [output unit]
+    lpvg_real_t share;  ///< share of the distance to its input that the slower lag's state moves per sample [-]
+    lpvg_real_t keep[2];  ///< share of the first two pairs of sums that one sample keeps        [-]
 } lpvg_watch_limits_t;
 
 typedef struct lpvg_watch_t {
     lpvg_real_t x[LPVG_NX];  ///< state of the model whose output is phi       [mixed]
     lpvg_real_t past[LPVG_DELAY + 1][LPVG_NU];  ///< demands minus the offset, the newest first  [input unit]
-    lpvg_real_t slow[2 * LPVG_NY];  ///< slow parts of e, then phi, that F removes              [output unit]
+    lpvg_real_t lag[2][2 * LPVG_NY];  ///< lags of e, then phi, the faster first                [output unit]
     lpvg_real_t P[LPVG_WATCH_MEMORIES][LPVG_NY];  ///< sums of F e_j F phi_j, at last of their slow parts  [output unit squared]
     lpvg_real_t Q[LPVG_WATCH_MEMORIES][LPVG_NY];  ///< sums of (F phi_j)^2, at last of the slow part     [output unit squared]
     bool violated;  ///< the newest sums of an output violate the limit
