@@ -8,7 +8,7 @@ from conan.tools.files import copy
 
 class Lpvguard(ConanFile):
     name = "lpvguard"
-    version = "0.3.0"
+    version = "0.4.0"
     description = "On-line monitor of an uncertain LPV vehicle model, and the controller that it guards"
     license = "MIT"
     topics = ("control", "monitor", "automotive", "can", "embedded")
