@@ -15,8 +15,9 @@ each found.
                  lib/MISRA.md
     misra_cpp    lib/src keeps of MISRA C++:2023 what lib/MISRA_CPP.md says a tool checks (misra_cpp.py)
     manual       every public function says what it does, when it fails and, in the head of its header, what
-                 it costs, which thread may call it and what memory it takes requirements every requirement of
-                 lib/REQUIREMENTS.md is named by a test, and every one that a test names stands there
+                 it costs, which thread may call it and what memory it takes
+    requirements every requirement of lib/REQUIREMENTS.md is named by a test, and every one that a test
+                 names stands there
     references   every text, equation, requirement, file and symbol that the repository names is in it
                  (references.py)
     prose        documents, public docstrings and C headers keep the rules of sentences (prose.py)

@@ -14,11 +14,11 @@ Writes a folder with
     confirmation.json designs k of m of the frame test, compared; only with a rate (confirmation.py)
     pools.json        bounds of pools of frames, and the remainders behind them (pools.py); only with Hann
                       frames
-    diagnosis.json scales of the diagnosis of alarms (diagnosis.py); only with Hann frames isolation.json
-    scales of the search for the faulty part (isolation.py); only with [isolation] visibility.json smallest
-    visible gain and delay errors, at typical and at the strongest excitation spectra.npz E, Z and mean speed
-    of a sample of the frames of the bound-setting drives, for the pictures
-                      and the trade-offs of step 8
+    diagnosis.json    scales of the diagnosis of alarms (diagnosis.py); only with Hann frames
+    isolation.json    scales of the search for the faulty part (isolation.py); only with [isolation]
+    visibility.json   smallest visible gain and delay errors, at typical and at the strongest excitation
+    spectra.npz       E, Z and mean speed of a sample of the frames of the bound-setting drives, for the
+                      pictures and the trade-offs of step 8
     project.json      copy of the project file
     MANIFEST.json     inputs, drives, estimator, and the seal of the folder (base/artefacts.py)
 
