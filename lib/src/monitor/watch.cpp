@@ -93,7 +93,7 @@ extern "C" void lpvg_watch_take(lpvg_watch_t* self, const lpvg_watch_limits_t* l
     parts.col(2) = below;
     const Real keep[LPVG_WATCH_MEMORIES] = {limits->keep[0], limits->keep[1], Real(1) - coeff->reals.energy_forget[0]};
     bool violated = false, evidence = false;
-    for (std::size_t m = 0; m < LPVG_WATCH_MEMORIES; ++m) {
+    for (Eigen::Index m = 0; m < LPVG_WATCH_MEMORIES; ++m) {
         const Outputs error = parts.col(m).head<LPVG_NY>(), response = parts.col(m).tail<LPVG_NY>();
         Eigen::Map<Outputs> p(self->P[m]), q(self->Q[m]);
         p = keep[m] * p + error * response;

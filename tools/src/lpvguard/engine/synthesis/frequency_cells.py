@@ -171,12 +171,16 @@ def _positive_on(G: StateSpace, point: PointBound, level: float, omega: float) -
 def response_rounding(G: StateSpace, omega: float) -> np.ndarray:
     """Return the error (p, m) of the response G(jω) from rounding of the entries of A, B, C and D.
 
-    The estimate is of first order in each entry, so it does not depend on the units of the states.
+    The estimate is of first order in each entry, so it does not depend on the units of the states. It is
+    infinite where jω is a pole up to rounding.
     """
     moved = np.abs(G.D)
     if G.order and np.isfinite(omega):
         point = np.exp(1j * omega * G.dt) if G.dt else 1j * omega
-        inverse = np.linalg.inv(point * np.eye(G.order) - G.A)
+        try:
+            inverse = np.linalg.inv(point * np.eye(G.order) - G.A)
+        except np.linalg.LinAlgError:
+            return np.full(G.D.shape, np.inf)
         left, right = np.abs(G.C @ inverse), np.abs(inverse @ G.B)
         pencil = np.abs(G.A) + abs(point) * np.eye(G.order)
         moved = moved + left @ pencil @ right + np.abs(G.C) @ right + left @ np.abs(G.B)
