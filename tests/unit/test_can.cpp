@@ -961,6 +961,7 @@ TEST_CASE("cross-checks refuse limits that are not positive", "[unit][can][REQ-C
     const lpvg_can_plausibility_limits_t small = {0.5F, 0.5F, 0.5F, 0.5F, 1U};
     CHECK(lpvg_can_plausibility(&self, &small, 0.0F, 0.0F, 10.0F, 0.0F) == lpvg_status_ok);
     SECTION("track") { limits.track_m = 0.0F; }
+    SECTION("track infinite") { limits.track_m = kInf; }
     SECTION("speed") { limits.speed_min_mps = kNan; }
     SECTION("speed 0") { limits.speed_min_mps = 0.0F; }
     SECTION("lateral") { limits.lateral_mps2 = -1.0F; }
