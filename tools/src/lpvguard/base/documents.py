@@ -128,12 +128,8 @@ class InRadians(StrictModel):
     def __get_pydantic_json_schema__(cls, core: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
         described = handler(core)
         names = {hertz: radians for radians, hertz in cls.FREQUENCIES.items()}
-        for key in ("properties", "required"):
-            whole = described.get(key, {})
-            renamed = [names.get(name, name) for name in whole]
-            described[key] = (
-                dict(zip(renamed, whole.values(), strict=True)) if key == "properties" else renamed
-            )
+        described["properties"] = {names.get(k, k): v for k, v in described["properties"].items()}
+        described["required"] = [names.get(k, k) for k in described.get("required", [])]
         return described
 
 
