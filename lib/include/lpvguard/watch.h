@@ -14,9 +14,9 @@
 ///
 /// gain_j is the smallest W_certificate,j of all bins: a larger constant error lies outside the certificate set. If it is above
 /// LPVG_WATCH_GAIN_MAX, gain_j is the largest gain that the change test accepts as healthy. If that is too large as well, output j is
-/// not watched. disturbance_j comes from the energy test's sigma_j. Above its upper corner it counts over LPVG_WATCH_QUICK_COHERENCE_S, and
-/// between the outer corners over LPVG_WATCH_COHERENCE_S. For the third pair the whole sigma_j below the first corner is added in power: a disturbance
-/// there may follow the response at all times.
+/// not watched. disturbance_j comes from the energy test's sigma_j. Above its upper corner it counts over LPVG_WATCH_QUICK_COHERENCE_S.
+/// Between the outer corners it counts over LPVG_WATCH_COHERENCE_S. For the third pair the whole sigma_j below the first corner is added
+/// in power: a disturbance there may follow the response at all times.
 ///
 /// The sums are *evidence* when a vehicle without response, P_j = -Q_j, would violate the limit.
 ///
