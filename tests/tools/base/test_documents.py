@@ -1,10 +1,12 @@
 """TOML files that people write: every fault is an InputError that names file, field, value and what was
 expected."""
 
+from typing import ClassVar
+
 import pytest
 from pydantic import BaseModel, Field
 
-from lpvguard.base.documents import checked, read_toml
+from lpvguard.base.documents import InRadians, checked, read_toml
 from lpvguard.base.errors import InputError
 
 
@@ -15,6 +17,11 @@ class Wheel(BaseModel):
 class Car(BaseModel):
     name: str
     wheels: list[Wheel] = []
+
+
+class Band(InRadians):
+    f_hz: float
+    FREQUENCIES: ClassVar = {"omega_radps": "f_hz"}
 
 
 @pytest.mark.parametrize(
@@ -54,6 +61,11 @@ def test_a_missing_file_is_named(tmp_path):
 def test_the_first_field_that_is_refused_is_named(document, table, says):
     with pytest.raises(InputError, match=says):
         checked(Car, document, "a car", "f", table=table)
+
+
+def test_a_missing_frequency_is_named_as_files_state_it():
+    with pytest.raises(InputError, match=r"^f: band: omega_radps is missing; expected a band$"):
+        checked(Band, {}, "a band", "f", table="band")
 
 
 def test_a_good_document_is_read(tmp_path):

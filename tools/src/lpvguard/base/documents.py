@@ -118,7 +118,13 @@ class InRadians(StrictModel):
     @model_validator(mode="before")
     @classmethod
     def _read(cls, settings: object) -> object:
-        return in_hertz(settings, cls.FREQUENCIES) if isinstance(settings, dict) else settings
+        if not isinstance(settings, dict):
+            return settings
+        inside = in_hertz(settings, cls.FREQUENCIES)
+        for radians, hertz in cls.FREQUENCIES.items():
+            if cls.model_fields[hertz].is_required() and hertz not in inside:
+                raise ValueError(f"{radians} is missing")
+        return inside
 
     @model_serializer(mode="wrap")
     def _written(self, plain: SerializerFunctionWrapHandler) -> dict[str, Any]:
