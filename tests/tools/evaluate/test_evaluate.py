@@ -15,9 +15,9 @@ from lpvguard.evaluate import evaluation as stage
 from lpvguard.evaluate.comparison import equal_rates
 from lpvguard.evaluate.detection import FaultOutcome, Injection, JudgedClock, margins, refutable
 from lpvguard.evaluate.false_alarms import alarmed_pieces, alarming, piece_starts
-from lpvguard.evaluate.joint import FLOORS, UNITS, joint_scores
 from lpvguard.identify import identification as identify
 from lpvguard.identify.calibration import Calibration, Recordings, calibrate
+from lpvguard.identify.joint import FLOORS, UNITS, joint_scores
 from lpvguard.replay.replayer import Replay, Replayer
 from lpvguard.vehicle.nominal import NominalModel
 from lpvguard.vehicle.project import EvaluationSettings

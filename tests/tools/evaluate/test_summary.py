@@ -29,6 +29,21 @@ def test_alarms_an_hour_stand_first_and_the_best_baseline_last(evaluation):
     assert lines[-1].startswith("best baseline: cusum finds 70 of 70 starts, we 70")
 
 
+def test_what_is_exported_has_a_line_where_it_differs(evaluation):
+    exported = evaluation["tests"]["exported"]
+    for row in exported["faults"]:
+        row["found"] = 30
+    exported["false_alarms"]["alarmed_drives"] = 2
+    line = (
+        "with a threshold for each test, as exported: 60 starts found, 2 of 11 drives alarm; "
+        "frame_test.joint = true exports one for all tests"
+    )
+    assert summary(evaluation)[2] == line
+    exported["faults"] = deepcopy(evaluation["faults"])
+    exported["false_alarms"] = deepcopy(evaluation["false_alarms"]["all"])
+    assert not any("as exported" in x for x in summary(evaluation))
+
+
 def test_what_is_missed_partly_found_or_without_a_drive_has_a_line_each(evaluation):
     rows = evaluation["faults"]
     rows += [deepcopy(rows[0]) for _ in range(3)]

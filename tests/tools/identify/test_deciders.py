@@ -12,9 +12,10 @@ from lpvguard.drives.frames import Estimator
 from lpvguard.drives.tables import read_drive
 from lpvguard.identify import identification as stage
 from lpvguard.identify.bounds import Deciders, FrameSet, fold, reduce_remainder
-from lpvguard.identify.calibration import Calibration, Peak, peaks
+from lpvguard.identify.calibration import Calibration, Peak, calibrate, peaks
 from lpvguard.identify.deciders import Decision, decides_bounds, decides_thresholds, outlying, silence
 from lpvguard.identify.energy import UNBOUNDED
+from lpvguard.identify.joint import joint_calibration, with_joint_thresholds
 from lpvguard.identify.over_drives import Origins
 from lpvguard.identify.visibility import Excitation
 from lpvguard.identify.weights import coefficients_of, energy_filters
@@ -61,6 +62,7 @@ def said(stored, **changed) -> SimpleNamespace:
             B_w_floor=np.full((len(stored.bounds["omega_rad_s"]), 1), 0.02),
         ),
         "calibration": stored.calibration,
+        "pools": None,
         "energy": stored.energy,
         "change": stored.change,
         "peaks": {},
@@ -103,6 +105,25 @@ def test_a_threshold_names_drive_time_and_bin_and_what_it_is_without_one_frame(i
     assert decides_thresholds(floor) == [
         Decision("frame test: the floor of the test decides the threshold 1", alone=False)
     ]
+
+
+def test_a_joint_threshold_names_the_test_whose_score_decides_it(identified):
+    stored = stage.load(identified)
+    frames = {f"drive_{k}": 1.5 + k / 10 for k in range(9)} | {"drive_9": 6.0}
+    change = dict.fromkeys(frames, 0.6)
+    own = {"frame": calibrate(frames, 0.1), "change": calibrate(change, 0.1)}
+    tests = with_joint_thresholds(own, joint_calibration(own, 0.1))
+    result = said(
+        stored,
+        calibration=tests["frame"],
+        energy=None,
+        change=replace(stored.change, calibration=tests["change"]),
+        peaks={"drive_9": {"frame": Peak(41.2, RARE, 1.1)}},
+    )
+    where = f"at 41.2 s, {stored.bounds['omega_rad_s'][RARE]:.3g} rad/s"
+    text = f"all tests: drive_9 decides the threshold 2 by its score in frame, {where}"
+    alone = Decision(f"{text}; one frame alone decides: without it 0.7667", alone=True)
+    assert decides_thresholds(result) == [alone]
 
 
 def test_a_drive_whose_score_lies_outside_the_others_is_named_and_still_calibrates(identified):

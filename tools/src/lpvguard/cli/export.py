@@ -38,7 +38,9 @@ def export(
     warn_of_ranges(identified.project)
     with progress_bar("export") as tell, workers(jobs) as run:
         stored = export_chosen(identified, out, controller, group, tell, run)
-    if stored.calibration.groups:
+    if stored.calibration.groups and stored.calibration.joint is not None:
+        console.print(stored.calibration.claim())
+    elif stored.calibration.groups:
         console.print(f"frame test: {stored.calibration.claim()}")
         console.print(f"energy test: {stored.energy_of_core.calibration.claim()}")
         console.print(f"change test: {stored.change_of_core.calibration.claim()}")

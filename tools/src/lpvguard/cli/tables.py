@@ -270,19 +270,16 @@ def print_tests(result: Identification) -> None:
     energy, change = result.energy, result.change
     console.print(use_of_weights(result.weights.to_dict()))
     if energy is not None:
-        console.print(
-            f"energy test: threshold {energy.calibration.carried:.4g} ({energy.calibration.claim()}), "
-            f"sigma {energy.sigma_text(result.project)}"
-        )
+        console.print(f"energy test: {energy.calibration.stated}, sigma {energy.sigma_text(result.project)}")
         console.print(f"energy test: {energy.claim_text}")
     if change is not None:
-        c = change.calibration
         sizes = change.sizes_text(result.project)
-        console.print(f"change test: threshold {c.carried:.4g} ({c.claim()}), largest {sizes}")
+        console.print(f"change test: {change.calibration.stated}, largest {sizes}")
     if result.pools is not None:
         console.print(result.pools.speeds_text())
     if result.pools is not None and (c := result.pools.calibration).target:
-        console.print(f"pools: threshold {c.carried:.4g} ({c.claim()}); rates are a quarter of all tests'")
+        share = "" if c.joint else "; rates are a quarter of all tests'"
+        console.print(f"pools: {c.stated}{share}")
     if result.confirmation is not None:
         print_rows(result.confirmation.table())
         console.print(result.confirmation.sentence())

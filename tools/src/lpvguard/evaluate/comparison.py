@@ -14,8 +14,6 @@ from .false_alarms import PIECE_S
 
 MONITOR = "monitor"
 """Name of the monitor with all tests at one joint threshold, beside the kinds of baselines.KINDS."""
-POOLS = "pools"
-"""Name of the frame test's pools, which have a threshold of their own."""
 LEFT_ONE_OUT, HELD_OUT = "left_one_out", "held_out"
 """Judged drives: those of the identification, each without itself, or drives that the identification never
 saw."""
@@ -24,7 +22,7 @@ CALIBRATED = {LEFT_ONE_OUT: "each drive without itself", HELD_OUT: "drives that 
 TOGETHER = "all"
 """Name of the rows that combine the starts of all ways, one row per fault."""
 EXPORTED = "exported"
-"""All tests, each at its own threshold, as `lpvguard export` writes them."""
+"""All tests at the thresholds that `lpvguard export` writes: joint ones, or each test's own."""
 COUNTS_ONLY = "counts only"
 """Words that replace an unstated rate of false alarms."""
 

@@ -4,11 +4,11 @@ The compiled core processes every drive. One drive of the identification is left
 Thresholds for this drive come from all *other* drives that did not set the bounds. Drives that the
 identification never saw are judged with its stored thresholds (judged_drives.py).
 
-The monitor is compared with all tests at one threshold, calibrated jointly (joint.py). Any of
+The monitor is compared with all tests at one threshold, calibrated jointly (identify/joint.py). Any of
 its tests alarms on a further drive with probability at most alpha, like a baseline. The table also has each
-test alone at alpha. It also has the tests as exported, each at its own threshold, with at most four times
-alpha in total. If fewer drives calibrate than alpha needs, no rate is stated. The detectors are then compared
-by counts only (`stated_rates`).
+test alone at alpha, and the tests as exported. With ``frame_test.joint`` these have the joint threshold, else
+each its own, with at most four times alpha in total. If fewer drives calibrate than alpha needs, no rate is
+stated. The detectors are then compared by counts only (`stated_rates`).
 
 The module ``false_alarms.py`` defines false alarms, ``detection.py`` defines found faults, and
 ``baseline_study.py`` tunes the baselines.
@@ -26,15 +26,15 @@ from ..core.compiled import TESTS, Core
 from ..drives.tables import Drive, Experiment
 from ..identify.calibration import Calibration, Recordings, change_score, energy_score, score
 from ..identify.identification import DriveSet, StoredIdentification
+from ..identify.joint import POOLS, joint_score, joint_thresholds
 from ..identify.passes import DriveReader
 from ..replay.replayer import Replay, Replayer
 from ..vehicle.project import EvaluationSettings, Project
 from .baseline_study import BaselineStudy, evaluate_baselines
 from .causes import DIAGNOSED_S, CauseOutcome, CauseOutcomes, cause_table
-from .comparison import EXPORTED, LEFT_ONE_OUT, MONITOR, POOLS, duels
+from .comparison import EXPORTED, LEFT_ONE_OUT, MONITOR, duels
 from .detection import FaultOutcome, Injection, Outcomes, fault_rows, margins, ranking, refutable
 from .false_alarms import alarmed_pieces, alarming, false_alarms, piece_starts
-from .joint import joint_score, joint_thresholds
 from .judged_drives import JudgedDrives, calibrations_of, rate_of
 from .parts import Names, name_after, part_table
 
@@ -216,15 +216,18 @@ def _false_alarms(detector: str, rows: list[dict]) -> dict:
     return false_alarms([(r["alarmed"][detector], r["pieces"]) for r in rows], rows)
 
 
-def _stated_rates(rows: list[dict], baselines: list[dict], scored: Iterable[str]) -> dict[str, float | None]:
+def _stated_rates(
+    rows: list[dict], baselines: list[dict], scored: Iterable[str], *, joint: bool
+) -> dict[str, float | None]:
     """Stated rate of false alarms on a further drive, per detector; None means counts only.
 
-    The exported tests together have at most the sum of their rates.
+    The exported tests have the rate of the ``joint`` threshold, or at most the sum of their own rates.
     """
     stated = {what: one_rate(r["calibration"][what]["alpha"] for r in rows) for what in scored}
     tests = [test for test in scored if test != MONITOR]
     apart = [rate for test in tests if (rate := stated[test]) is not None]
-    stated |= {EXPORTED: sum(apart) if len(apart) == len(tests) else None}
+    together = sum(apart) if len(apart) == len(tests) else None
+    stated |= {EXPORTED: stated[MONITOR] if joint else together}
     return stated | {b["kind"]: one_rate(c["alpha"] for c in b["chosen"].values()) for b in baselines}
 
 
@@ -365,7 +368,7 @@ def _table(
             "identified": {test: c.claim() for test, c in tests.items()},
             judged.mode: {what: sorted({r["calibration"][what]["claim"] for r in rows}) for what in scored},
         },
-        "stated_rates": _stated_rates(rows, baselines, scored),
+        "stated_rates": _stated_rates(rows, baselines, scored, joint=stored.project.frame_test.joint),
         **({} if (rate := rate_of(judged, stored)) is None else {"rate": rate}),
         "drives": rows,
         "injection": injection.to_dict(),

@@ -22,8 +22,8 @@ from ..drives.tables import Experiment, list_experiments, table_hashes
 from ..identify.calibration import Calibration, Recordings, calibrate
 from ..identify.change import calibrated_change
 from ..identify.identification import DriveSet, StoredIdentification
-from .comparison import HELD_OUT, LEFT_ONE_OUT, MONITOR, POOLS
-from .joint import FLOORS, joint_scores, joint_target
+from ..identify.joint import FLOORS, POOLS, joint_calibration, with_joint_thresholds
+from .comparison import HELD_OUT, LEFT_ONE_OUT, MONITOR
 
 SAW = {"bounds": "set the bounds", "calibration": "calibrated", "noise": "set the noise"}
 """Use of a group of drives in the identification."""
@@ -101,31 +101,29 @@ def _of_group(calibrations: dict[str, Calibration], group: str | None) -> dict[s
 def _calibrations(stored: StoredIdentification, without: str | None) -> dict[str, Calibration]:
     """Calibrations of the monitor and each test on all calibration drives but those of ``without``."""
     scores = {test: c.scores for test, c in calibrations_of(stored).items()}
+    targets = {test: c.target for test, c in calibrations_of(stored).items()}
     if stored.pools is not None:
-        scores[POOLS] = stored.pools.scores(without)
-    scores[MONITOR] = joint_scores(scores)
-    targets = {test: c.target for test, c in calibrations_of(stored).items() if c.target is not None}
-    if targets:
-        if stored.pools is not None and (pooled := stored.pools.target(without)) is not None:
-            targets[POOLS] = pooled
-        targets[MONITOR] = joint_target(targets)
+        scores[POOLS], targets[POOLS] = stored.pools.scores(without), stored.pools.target(without)
     rules: dict[str, Callable[..., Calibration]] = {
-        MONITOR: partial(calibrate, floor=FLOORS["change"]),
         "frame": calibrate,
         "energy": partial(calibrate, floor=FLOORS["energy"]),
         "change": calibrated_change,
         POOLS: calibrate,
     }
     alpha, recordings = stored.project.frame_test.alpha, stored.calibration.recordings
-    return {
-        what: rules[what](
-            {k: scores[what][k] for k in recordings.others(scores[what], without)},
+    tests = {
+        test: rules[test](
+            {k: scores[test][k] for k in recordings.others(scores[test], without)},
             alpha,
             recordings=recordings,
-            target=targets.get(what),
+            target=targets[test],
         )
-        for what in scores
+        for test in scores
     }
+    together = joint_calibration(tests, alpha)
+    if stored.project.frame_test.joint:
+        tests = with_joint_thresholds(tests, together)
+    return {**tests, MONITOR: together}
 
 
 def calibrations_of(stored: StoredIdentification) -> dict[str, Calibration]:

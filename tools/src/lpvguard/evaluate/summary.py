@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from .comparison import MONITOR, TOGETHER, row_name
+from .comparison import EXPORTED, MONITOR, TOGETHER, row_name
 
 ALWAYS, NEVER = 0.95, 0.05
 """A fault counts as found from the first share of its starts on, and as missed up to the second."""
@@ -35,6 +35,7 @@ def summary(evaluation: dict[str, Any]) -> list[str]:
         f"faults: {detected} of {starts} starts found within {evaluation['injection']['within_s']:g} s of "
         f"judged, excited driving; of {len(counted)} faults "
         + ", ".join(f"{len(names)} {kind}" for kind, names in groups.items()),
+        *_exported(evaluation, detected),
         *(f"{kind}: {_first(names)}" for kind, names in groups.items() if names),
     ]
     if without := [row_name(row) for row in rows if not row["counted"]]:
@@ -77,6 +78,18 @@ def alarm_words(evaluation: dict[str, Any]) -> str:
         measured = f"{rate['rate']:.3g} measured (95 %: {low:.2g} to {high:.3g})"
     drives = f"{counts['alarmed_drives']} of {counts['drives']} drives alarm in {hours:.3g} h"
     return f"alarms without a fault: {promised}, {measured}; {drives}"
+
+
+def _exported(evaluation: dict[str, Any], detected: int) -> list[str]:
+    """What the exported thresholds find, where these are not the joint one."""
+    tests = evaluation["tests"][EXPORTED]
+    found, counts = sum(row["found"] for row in tests["faults"]), tests["false_alarms"]
+    if (found, counts["alarmed_drives"]) == (detected, evaluation["false_alarms"]["all"]["alarmed_drives"]):
+        return []
+    return [
+        f"with a threshold for each test, as exported: {found} starts found, {counts['alarmed_drives']} of "
+        f"{counts['drives']} drives alarm; frame_test.joint = true exports one for all tests"
+    ]
 
 
 def _baseline(evaluation: dict[str, Any]) -> str:

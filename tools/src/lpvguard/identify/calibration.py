@@ -230,6 +230,8 @@ class Calibration:
     judged_s : dict[str, float], s, time in counted frames by drive, empty without a claim per hour
     target : RateTarget or None, target rate in place of alpha
     extrapolation : Extrapolation or None, extrapolation of the pooled threshold
+    joint : Calibration or None
+        Calibration of all tests together, which decides threshold and claim. None: the test has its own.
     """
 
     threshold: float
@@ -242,6 +244,7 @@ class Calibration:
     judged_s: dict[str, float] = field(default_factory=dict)
     target: RateTarget | None = None
     extrapolation: Extrapolation | None = None
+    joint: Calibration | None = None
 
     def over(self, judged_s: Mapping[str, float]) -> Calibration:
         """The calibration with the judged time of every drive [s], for claims per hour."""
@@ -280,15 +283,26 @@ class Calibration:
             extrapolation=own.extrapolation,
             groups={group: own},
             group=group,
+            joint=None if self.joint is None else self.joint.of_group(group),
         )
+
+    @property
+    def stated(self) -> str:
+        """Threshold of the core with its claim, in words; without the claim where it is of all tests."""
+        return f"threshold {self.carried:.4g}" + ("" if self.joint else f" ({self.claim()})")
 
     @property
     def decided_by(self) -> str | None:
         """Drive whose score equals the threshold of the core, or None if the floor decides."""
+        if self.joint is not None:
+            return self.joint.decided_by
         return next((d for d, s in self.scores.items() if s == self.carried), None)
 
     def to_dict(self) -> dict:
-        """Convert to JSON types. ``recordings`` and ``groups`` exist only if experiments.csv names any."""
+        """Convert to JSON types, without ``joint``.
+
+        ``recordings`` and ``groups`` exist only if experiments.csv names any.
+        """
         named = self.recordings
         out: dict = {k: getattr(self, k) for k in ("threshold", "scores", "alpha", "conditional_bound")}
         if named.by_drive:
@@ -324,6 +338,8 @@ class Calibration:
 
     def claim(self) -> str:
         """Claim about the false alarms at this threshold, in words."""
+        if self.joint is not None:
+            return f"all tests together: {self.joint.claim()}"
         if not self.groups:
             return self._pooled_claim()
         small = [] if self.group else [n for n, g in self.groups.items() if g.threshold is None]

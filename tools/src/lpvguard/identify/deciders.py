@@ -4,6 +4,7 @@ A user should check a frame that alone decides a bound or a threshold. A crash, 
 have caused it. No frame is dropped automatically. experiments.csv can set a drive aside, with a reason.
 """
 
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -11,6 +12,7 @@ import numpy as np
 from ..drives.tables import EXPERIMENTS
 from .calibration import Calibration, calibrate
 from .identification import Identification
+from .joint import FLOORS, POOLS, joint_score
 from .model_error import FEWEST_FRAMES
 
 ONE_FRAME = 1.1
@@ -66,7 +68,7 @@ def decides_bounds(result: Identification) -> list[Decision]:
 
 
 def decides_thresholds(result: Identification) -> list[Decision]:
-    """Name the drive, the time and the bin or band that decide each threshold.
+    """Name the drive, the time and the bin or band that decide each threshold, or the joint one.
 
     Where one frame decides alone, the text also states the threshold without this frame.
 
@@ -78,7 +80,12 @@ def decides_thresholds(result: Identification) -> list[Decision]:
     -------
     list of Decision
     """
-    return [_decides(result, test, c) for test, c in _tests(result).items()]
+    tests, joint = _tests(result), result.calibration.joint
+    if joint is None:
+        return [_decides(result, f"{test} test", c, {test: c}) for test, c in tests.items()]
+    if result.pools is not None:
+        tests[POOLS] = result.pools.calibration
+    return [_decides(result, "all tests", joint, tests)]
 
 
 def _tests(result: Identification) -> dict[str, Calibration]:
@@ -90,19 +97,30 @@ def _tests(result: Identification) -> dict[str, Calibration]:
     return {test: c for test, c in calibrations.items() if c is not None}
 
 
-def _decides(result: Identification, test: str, c: Calibration) -> Decision:
+def _decides(result: Identification, what: str, c: Calibration, tests: Mapping[str, Calibration]) -> Decision:
+    """What decides the threshold of ``c``, which judges the scores of ``tests``."""
     if c.extrapolation is not None:
-        return Decision(f"{test} test: the tail of the scores decides the threshold {c.carried:.4g}", False)
+        return Decision(f"{what}: the tail of the scores decides the threshold {c.carried:.4g}", False)
     drive = c.decided_by
     if drive is None:
-        return Decision(f"{test} test: the floor of the test decides the threshold {c.carried:.4g}", False)
-    text = f"{test} test: {drive} decides the threshold {c.carried:.4g}{_where(result, test, drive)}"
+        return Decision(f"{what}: the floor of the test decides the threshold {c.carried:.4g}", False)
+    scores = {name: x.scores.get(drive) for name, x in tests.items()}
+    test = max(scores, key=lambda name: joint_score({name: scores[name]}))
+    joint = len(tests) > 1
+    text = (
+        f"{what}: {drive} decides the threshold {c.carried:.4g}{f' by its score in {test}' if joint else ''}"
+        f"{_where(result, test, drive)}"
+    )
     peak = result.origins.peaks[drive].get(test)
     if peak is None or peak.without is None:  # the place is unknown without a core
         return Decision(text, False)
-    alpha = result.project.frame_test.alpha
+    without = joint_score(scores | {test: peak.without}) if joint else peak.without
     left = calibrate(
-        c.scores | {drive: peak.without}, alpha, recordings=c.recordings, target=c.target
+        c.scores | {drive: without},
+        result.project.frame_test.alpha,
+        floor=FLOORS["change" if joint else test],
+        recordings=c.recordings,
+        target=c.target,
     ).carried
     if c.carried <= ONE_FRAME * left:
         return Decision(text, False)

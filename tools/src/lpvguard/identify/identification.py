@@ -12,6 +12,7 @@ Writes a folder with
                       frames
     change.json       change test: sizes, scores, threshold (change.py); only with Hann frames
     confirmation.json designs k of m of the frame test, compared; only with a rate (confirmation.py)
+    joint.json        scores and threshold of all tests together; only with frame_test.joint
     pools.json        bounds of pools of frames, and the remainders behind them (pools.py); only with Hann
                       frames
     diagnosis.json    scales of the diagnosis of alarms (diagnosis.py); only with Hann frames
@@ -33,7 +34,7 @@ from collections.abc import Callable, Collection
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import numpy as np
 
@@ -74,6 +75,7 @@ from .weights import (
 from .window_error import window_error
 
 Result = TypeVar("Result")
+Test = TypeVar("Test", EnergyTest, ChangeTest, Pools)
 ISOLATION = "isolation.json"
 """File of the isolation scales in folders of `identify` and `export`."""
 
@@ -301,7 +303,7 @@ def save(result: Identification, drives: DriveSet, target: Path) -> None:
     InputError
         If the folder may not be replaced.
     """
-    bounds, weights = result.bounds, result.weights
+    bounds, weights, joint = result.bounds, result.weights, result.calibration.joint
     table = _bounds_table(result)
     front = {
         "omega_rad_s": bounds.omega,
@@ -319,6 +321,7 @@ def save(result: Identification, drives: DriveSet, target: Path) -> None:
                 "model_error.json": artefacts.to_json(result.model_error.to_dict(result.project)),
                 "weights.json": artefacts.to_json(weights.to_dict()),
                 "calibration.json": artefacts.to_json(result.calibration.to_dict()),
+                **({"joint.json": artefacts.to_json(joint.to_dict())} if joint else {}),
                 **({"energy.json": artefacts.to_json(result.energy.to_dict())} if result.energy else {}),
                 **({"change.json": artefacts.to_json(result.change.to_dict())} if result.change else {}),
                 **({"pools.json": artefacts.to_json(result.pools.to_dict())} if result.pools else {}),
@@ -451,6 +454,25 @@ class StoredIdentification:
         return self.change
 
 
+def _of_project(project: Project, path: Path, manifest: dict) -> tuple[NominalModel, Estimator]:
+    """Model and estimator of a stored project. Raises InputError for an estimator of another kind."""
+    with artefacts.reading(path):
+        model = NominalModel(project)
+        estimator = Estimator.from_project(project, model)
+    if manifest.get("estimator_id") != estimator.identifier():
+        raise InputError(
+            path.parent / artefacts.MANIFEST,
+            "estimator_id",
+            f"{manifest.get('estimator_id')}",
+            f"{estimator.identifier()}, the estimator of project.json",
+        )
+    return model, estimator
+
+
+def _with_joint(test: Test, joint: Calibration) -> Test:
+    return replace(test, calibration=replace(test.calibration, joint=joint))
+
+
 def load(folder: Path) -> StoredIdentification:
     """Read an identification folder and prove its weights' certificates again.
 
@@ -470,38 +492,38 @@ def load(folder: Path) -> StoredIdentification:
     folder = Path(folder)
     manifest = artefacts.read_manifest(folder, "identify")
 
-    def read(name: str, use: Callable[[Any, str], Result]) -> Result:
-        path = folder / f"{name}.json"
-        with artefacts.reading(path):
-            return use(artefacts.read_json(path), str(path))
+    def path_of(name: str) -> Path:
+        return folder / f"{name}.json"
 
-    project = read("project", parse_project)
-    bounds = read("bounds", lambda document, _: {k: np.array(v, float) for k, v in document.items()})
-    calibration = read("calibration", lambda document, _: Calibration.from_dict(document))
-    with artefacts.reading(folder / "project.json"):
-        model = NominalModel(project)
-        estimator = Estimator.from_project(project, model)
-    if manifest.get("estimator_id") != estimator.identifier():
-        raise InputError(
-            folder / artefacts.MANIFEST,
-            "estimator_id",
-            f"{manifest.get('estimator_id')}",
-            f"{estimator.identifier()}, the estimator of project.json",
-        )
-    weights, fitted = read("weights", lambda document, where: (document, Weights.from_dict(document, where)))
-    energy = change = diagnosis = pools = confirmation = isolation = None
+    def read(name: str, use: Callable[..., Result], *where: str) -> Result:
+        with artefacts.reading(path_of(name)):
+            return use(artefacts.read_json(path_of(name)), *where)
+
+    def read_if_there(name: str, use: Callable[..., Result]) -> Result | None:
+        return read(name, use) if path_of(name).is_file() else None
+
+    project = read("project", parse_project, str(path_of("project")))
+    bounds = read("bounds", lambda document: {k: np.array(v, float) for k, v in document.items()})
+    model, estimator = _of_project(project, path_of("project"), manifest)
+    weights: dict = read("weights", dict)
+    fitted = read("weights", Weights.from_dict, str(path_of("weights")))
+    calibration = read("calibration", Calibration.from_dict)
+    energy = change = diagnosis = pools = confirmation = None
     if estimator.window == "hann":
-        energy = read("energy", energy_filters(project, estimator, fitted).restored)
-        change = read("change", ChangeTest.design(project).restored)
-        if (folder / "pools.json").is_file():  # older identifications have none
-            pools = read("pools", lambda document, _: Pools.from_dict(document))
-        if (folder / "confirmation.json").is_file():  # only with a rate
-            confirmation = read("confirmation", lambda document, _: Confirmation.from_dict(document))
-        if (folder / "diagnosis.json").is_file():  # older identifications have none
-            diagnosis = read("diagnosis", lambda document, _: DiagnosisScales.restored(project, document))
-    if (folder / ISOLATION).is_file():
-        isolation = read("isolation", lambda document, _: Isolation.from_dict(document))
-    front = read("front", lambda document, _: {k: np.array(document[k], float) for k in ("gamma_w", "nu")})
+        filters = energy_filters(project, estimator, fitted)
+        energy = read("energy", filters.restored, str(path_of("energy")))
+        change = read("change", ChangeTest.design(project).restored, str(path_of("change")))
+        # Older identifications have neither pools nor diagnosis; a confirmation needs a rate.
+        pools = read_if_there("pools", Pools.from_dict)
+        confirmation = read_if_there("confirmation", Confirmation.from_dict)
+        diagnosis = read_if_there("diagnosis", partial(DiagnosisScales.restored, project))
+        if project.frame_test.joint:
+            joint = read("joint", Calibration.from_dict)
+            calibration = replace(calibration, joint=joint)
+            energy, change = _with_joint(energy, joint), _with_joint(change, joint)
+            pools = pools and _with_joint(pools, joint)
+    isolation = read_if_there("isolation", Isolation.from_dict)
+    front = read("front", lambda document: {k: np.array(document[k], float) for k in ("gamma_w", "nu")})
     return StoredIdentification(
         folder,
         manifest,
@@ -519,6 +541,6 @@ def load(folder: Path) -> StoredIdentification:
         diagnosis,
         isolation,
         front,
-        read("visibility", lambda document, _: dict(document)),
-        read("model_error", lambda document, _: ModelError.from_dict(project, estimator, document)),
+        read("visibility", dict),
+        read("model_error", partial(ModelError.from_dict, project, estimator)),
     )

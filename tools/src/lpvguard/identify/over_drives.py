@@ -12,7 +12,7 @@ import numpy as np
 from ..base.parallel import Map
 from ..base.progress import Progress
 from ..base.sampling import Rows, first_of_each, stacked
-from ..core.compiled import Core
+from ..core.compiled import TESTS, Core
 from ..drives.tables import Experiment
 from ..vehicle.project import FrameTestSettings
 from .bounds import Bounds, Deciders, Part, covering, fold, front_grid, undominated
@@ -26,6 +26,7 @@ from .error_domain import ErrorDomain
 from .error_sums import ErrorSums, joined
 from .healthy import HealthySet, healthy_set
 from .isolation import Changes, Isolation, odds_of
+from .joint import POOLS, joint_calibration, with_joint_thresholds
 from .model_error import FEWEST_FRAMES, FOLDS, ErrorEstimate, ErrorGrid, ModelError, Sums, model_error_pass
 from .passes import (
     DRAWN_SPECTRA,
@@ -327,14 +328,24 @@ class OverDrives:
             excitations = self.over("visibility", narrow, [*drives.setting, *drives.others])
             self._narrow = reduce(lambda one, other: Excitation.joined([one, other]), excitations)
             change = change.calibrated(change_scores, alpha, recordings, aim("change"))
+            by_frames = calibrate(scores, alpha, recordings=recordings, target=aim("frame"))
+            tests = self._stated(by_frames, test.calibration, change.calibration, pools.calibration)
             return (
                 inflated,
-                calibrate(scores, alpha, recordings=recordings, target=aim("frame")).over(self._judged_s),
-                replace(test, calibration=test.calibration.over(self._judged_s)),
-                replace(change, calibration=change.calibration.over(self._judged_s)),
-                replace(pools, calibration=pools.calibration.over(self._judged_s)),
+                tests["frame"],
+                replace(test, calibration=tests["energy"]),
+                replace(change, calibration=tests["change"]),
+                replace(pools, calibration=tests[POOLS]),
                 confirmation,
             )
+
+    def _stated(self, *by_test: Calibration) -> dict[str, Calibration]:
+        """Calibrations of TESTS and pools with the thresholds of the project, and with judged times."""
+        tests = {n: c.over(self._judged_s) for n, c in zip((*TESTS, POOLS), by_test, strict=True)}
+        if not self.reader.project.frame_test.joint:
+            return tests
+        joint = joint_calibration(tests, self.reader.project.frame_test.alpha)
+        return with_joint_thresholds(tests, joint.over(self._judged_s))
 
     def _confirmation(
         self, core: Core, reals: np.ndarray, recordings: Recordings, drives: Chosen

@@ -328,6 +328,9 @@ class FrameTestSettings(StrictModel):
     of_last : int, frames of a bin among which they are counted
         With a rate and ``of_last`` 1, identify chooses both for it (THEORY 7.20).
     alpha : float, false-alarm rate that calibration aims at
+    joint : bool
+        One threshold decides all tests, so that alpha holds for any of them (THEORY 7.3). Else alpha holds
+        for each.
     alarms_per_1000_h : float or None
         Rate of all tests together per 1000 judged hours, in place of alpha (THEORY 7.20).
     alarms_confident : bool
@@ -339,6 +342,7 @@ class FrameTestSettings(StrictModel):
     confirm: Annotated[int, Field(ge=1, le=8)] = 1
     of_last: Annotated[int, Field(ge=1, le=8)] = 1
     alpha: Fraction = 0.1
+    joint: bool = False
     alarms_per_1000_h: Positive | None = None
     alarms_confident: bool = False
     excited_std: Positive
@@ -351,8 +355,9 @@ class FrameTestSettings(StrictModel):
 
     @model_serializer(mode="wrap")
     def _brief(self, plain: SerializerFunctionWrapHandler) -> dict[str, object]:
-        """Leave out a rate that is None, because older settings do not have it."""
-        return {k: v for k, v in plain(self).items() if not k.startswith("alarms_") or v}
+        """Leave out what is not stated, because older settings do not have it."""
+        further = ("joint", "alarms_per_1000_h", "alarms_confident")
+        return {k: v for k, v in plain(self).items() if k not in further or v}
 
 
 class EnergyTestSettings(InRadians):

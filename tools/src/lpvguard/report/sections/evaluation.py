@@ -12,7 +12,6 @@ from ...evaluate.comparison import (
     HELD_OUT,
     LEFT_ONE_OUT,
     MONITOR,
-    POOLS,
     REFUTABLE_HEAD,
     DetectorColumn,
     alarm_rows,
@@ -24,7 +23,7 @@ from ...evaluate.comparison import (
     row_name,
 )
 from ...evaluate.false_alarms import PIECE_S
-from ...evaluate.joint import UNITS
+from ...identify.joint import POOLS, UNITS
 from ..markup import captioned, html_rows, html_table, number
 from ..pictures.detectors import SOONEST_S, time_to_find
 
@@ -127,9 +126,7 @@ def _time_to_find(faults: list[dict], within_s: float) -> str:
 def _injected_faults(evaluation: dict) -> str:
     """Found faults for all tests at one threshold, for the tests as exported, and for each test alone."""
     without = "; ".join(f"{escape(n)}: {escape(why)}" for n, why in evaluation["without_faults"].items())
-    titles = {MONITOR: OURS, EXPORTED: "as exported, each test at its threshold"} | {
-        t: f"{t} test alone" for t in TESTS
-    }
+    titles = {MONITOR: OURS, EXPORTED: "as exported"} | {t: f"{t} test alone" for t in TESTS}
     detectors, rates = columns(evaluation), evaluation["stated_rates"]
     injected = evaluation["injection"]
     times = _time_to_find(evaluation["faults"], injected["within_s"])

@@ -56,8 +56,8 @@ def _core_words(stored: StoredIdentification, replayer: Replayer | None) -> str:
 
 
 def _claim(stored: StoredIdentification) -> str:
-    """Promise of the frame test's threshold."""
-    calibration = stored.calibration
+    """Promise of the thresholds."""
+    calibration = stored.calibration.joint or stored.calibration
     if calibration.groups or calibration.extrapolation is not None:
         return escape(calibration.claim())
     if calibration.alpha is None:
@@ -67,8 +67,14 @@ def _claim(stored: StoredIdentification) -> str:
         f"{calibration.alpha:g}: a further {one}, exchangeable with the {calibration.units()} that "
         f"calibrate, alarms with probability at most {calibration.alpha:g} (on average over "
         f"calibration sets){calibration.hourly}"
-        + (", by each test; by any, at most three times that" if stored.energy else "")
+        + (", by any test" if stored.calibration.joint else _by_each_test(stored))
     )
+
+
+def _by_each_test(stored: StoredIdentification) -> str:
+    if stored.energy is None:
+        return ""
+    return f", by each test; by any, at most {'three' if stored.pools is None else 'four'} times that"
 
 
 def _conditional_claim(stored: StoredIdentification) -> str:
@@ -246,7 +252,7 @@ def _change_words(test: ChangeTest, project: Project) -> str:
     c = test.calibration
     return (
         f"memory {test.memory_s:g} s; largest on the bound-setting drives: "
-        f"{escape(test.sizes_text(project))}; threshold {c.carried:.4g}: {c.claim()}"
+        f"{escape(test.sizes_text(project))}; {c.stated}"
     )
 
 
@@ -259,5 +265,5 @@ def _energy_words(test: EnergyTest, project: Project) -> str:
         f"corners {', '.join(corners)} and {last} rad/s; judged {test.settle * test.Ts:.3g} s after entering "
         f"the range; {escape(test.claim_text)}; σ: {escape(test.sigma_text(project))}; "
         f"{len(test.directions)} direction(s); W<sub>Δ</sub> as a filter proved above its bound on the "
-        f"circle |z| = {test.rho:.6g} (least ratio {least:.9g}); threshold {c.carried:.4g}: {c.claim()}"
+        f"circle |z| = {test.rho:.6g} (least ratio {least:.9g}); {c.stated}"
     )
