@@ -52,6 +52,8 @@ VARIATION = {
     "brake_gain_ratio": 0.05,
 }
 """Standard deviation of each property between trucks; the mean is 1."""
+FARTHEST = 2.5
+"""Largest deviation of a truck in these. The simulator refuses loads below 0.4."""
 KNOWN_SPEEDS, SWEEPS_BAR = (8.1, 12.0, 17.0, 21.9), (0.24, 0.8, 2.1)
 CALIBRATING_SPEEDS = (8.5, 9.5, 11.0, 13.0, 15.0, 17.0, 19.0, 21.0, 21.5)
 PROGRAMMES = ("pulses", "telegraph", "multisine")
@@ -87,6 +89,14 @@ class Cars:
         write_files(path.parent, {path.name: fixture.csv_text(columns)})
 
 
+def truck_variation(own: np.random.Generator) -> dict[str, float]:
+    """Draw the properties of a truck, relative to the nominal ones."""
+    return {
+        key: 1 + sd * float(np.clip(own.standard_normal(), -FARTHEST, FARTHEST))
+        for key, sd in VARIATION.items()
+    }
+
+
 class Trucks:
     """Trucks that differ by VARIATION; ``gain`` multiplies the brakes."""
 
@@ -108,7 +118,7 @@ class Trucks:
 
     def drive(self, path: Path, own: np.random.Generator, gain: float, seconds: float, seed: int) -> None:
         """Write a drive with three speeds and one programme of the brakes."""
-        variation = {key: 1 + sd * own.standard_normal() for key, sd in VARIATION.items()}
+        variation = truck_variation(own)
         variation["brake_gain_ratio"] *= gain
         random = np.random.default_rng([seed])
         speeds = [float(v) for v in random.uniform(8.5, 21.5, 3)]
