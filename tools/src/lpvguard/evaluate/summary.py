@@ -83,11 +83,11 @@ def alarm_words(evaluation: dict[str, Any]) -> str:
 def _exported(evaluation: dict[str, Any], detected: int) -> list[str]:
     """What the exported thresholds find, where these are not the joint one."""
     tests = evaluation["tests"][EXPORTED]
-    found, counts = sum(row["found"] for row in tests["faults"]), tests["false_alarms"]
-    if (found, counts["alarmed_drives"]) == (detected, evaluation["false_alarms"]["all"]["alarmed_drives"]):
+    starts, counts = sum(row["found"] for row in tests["faults"]), tests["false_alarms"]
+    if (starts, counts["alarmed_drives"]) == (detected, evaluation["false_alarms"]["all"]["alarmed_drives"]):
         return []
     return [
-        f"with a threshold for each test, as exported: {found} starts found, {counts['alarmed_drives']} of "
+        f"with a threshold for each test, as exported: {starts} starts found, {counts['alarmed_drives']} of "
         f"{counts['drives']} drives alarm; frame_test.joint = true exports one for all tests"
     ]
 
