@@ -121,7 +121,9 @@ def test_what_is_exported_is_what_evaluate_compares(tmp_path, g80, synthetic, fe
     stage.save(result, drives, tmp_path / "identified")
     stored = stage.load(tmp_path / "identified")
     joint = stored.calibration.joint
-    jsonschema.validate(json.loads((tmp_path / "identified" / "joint.json").read_text()), schema("joint"))
+    jsonschema.validate(
+        json.loads((tmp_path / "identified" / "joint.json").read_text()), schema("calibration")
+    )
     exported = [c.carried for c in (stored.calibration, stored.energy.calibration, stored.change.calibration)]
     assert exported == joint_thresholds(joint.threshold)
     export_vehicle(stored, tmp_path / "vehicle")

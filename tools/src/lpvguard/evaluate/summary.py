@@ -81,7 +81,7 @@ def alarm_words(evaluation: dict[str, Any]) -> str:
 
 
 def _exported(evaluation: dict[str, Any], detected: int) -> list[str]:
-    """What the exported thresholds find, where these are not the joint one."""
+    """Say what the exported thresholds find, where these are not the joint one."""
     tests = evaluation["tests"][EXPORTED]
     starts, counts = sum(row["found"] for row in tests["faults"]), tests["false_alarms"]
     if (starts, counts["alarmed_drives"]) == (detected, evaluation["false_alarms"]["all"]["alarmed_drives"]):

@@ -98,7 +98,7 @@ def _tests(result: Identification) -> dict[str, Calibration]:
 
 
 def _decides(result: Identification, what: str, c: Calibration, tests: Mapping[str, Calibration]) -> Decision:
-    """What decides the threshold of ``c``, which judges the scores of ``tests``."""
+    """Name what decides the threshold of ``c``, which judges the scores of ``tests``."""
     if c.extrapolation is not None:
         return Decision(f"{what}: the tail of the scores decides the threshold {c.carried:.4g}", False)
     drive = c.decided_by

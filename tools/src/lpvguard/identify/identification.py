@@ -505,8 +505,7 @@ def load(folder: Path) -> StoredIdentification:
     project = read("project", parse_project, str(path_of("project")))
     bounds = read("bounds", lambda document: {k: np.array(v, float) for k, v in document.items()})
     model, estimator = _of_project(project, path_of("project"), manifest)
-    weights: dict = read("weights", dict)
-    fitted = read("weights", Weights.from_dict, str(path_of("weights")))
+    weights, fitted = read("weights", lambda x: (x, Weights.from_dict(x, str(path_of("weights")))))
     calibration = read("calibration", Calibration.from_dict)
     energy = change = diagnosis = pools = confirmation = None
     if estimator.window == "hann":

@@ -69,7 +69,11 @@ def joint_thresholds(joint: float) -> list[float]:
     -------
     list of float, in the order of TESTS; that of frames also serves pools
     """
-    return [max(joint * UNITS[test], FLOORS[test]) for test in TESTS]
+    return [_threshold(test, joint) for test in TESTS]
+
+
+def _threshold(test: str, joint: float) -> float:
+    return max(joint * UNITS[test], FLOORS[test])
 
 
 def joint_target(targets: Mapping[str, RateTarget]) -> RateTarget:
@@ -134,15 +138,15 @@ def with_joint_thresholds(tests: Mapping[str, Calibration], joint: Calibration) 
 
 
 def _with_joint_threshold(test: str, c: Calibration, joint: Calibration) -> Calibration:
-    unit, floor = UNITS[test], FLOORS[test]
+    unit = UNITS[test]
 
     def of_group(g: GroupThreshold) -> GroupThreshold:
-        threshold = None if g.threshold is None else max(unit * g.threshold, floor)
+        threshold = None if g.threshold is None else _threshold(test, g.threshold)
         return replace(g, threshold=threshold, extrapolation=_in_unit(g.extrapolation, unit))
 
     return replace(
         c,
-        threshold=max(unit * joint.threshold, floor),
+        threshold=_threshold(test, joint.threshold),
         alpha=joint.alpha,
         conditional_bound=joint.conditional_bound,
         groups={name: of_group(g) for name, g in joint.groups.items()},
